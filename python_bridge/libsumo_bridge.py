@@ -44,6 +44,7 @@ distance_of = native.vehicle_getDistance
 speed_of = native.vehicle_getSpeed
 position_of = native.vehicle_getPosition
 angle_of = native.vehicle_getAngle
+lane_of = native.vehicle_getLaneID
 time_loss_of = native.vehicle_getTimeLoss
 arrived_ids = native.simulation_getArrivedIDList
 arrived_persons = native.simulation_getArrivedPersonIDList
@@ -105,7 +106,7 @@ def step(runs, vehicles, others, persons):
 
     Returns the time, the vehicles and persons that arrived or were refused, the distances and speeds of the other
     `vehicles` in their order, the pairs of colliding vehicles, the first refusal, if there are `others` that SUMO
-    drives, positions, angles and time losses of the vehicles, and position, angle and speed of each of the `persons`,
+    drives, positions, angles, lanes and time losses of the vehicles, and position, angle and speed of each of the `persons`,
     or None where there is none of that name.
     """
     refusal, unknown = carry_out(runs)
@@ -114,9 +115,9 @@ def step(runs, vehicles, others, persons):
     if unknown:
         vehicles = [name for name in vehicles if name not in unknown]
     collisions = [(c.collider, c.victim) for c in collisions_now()]
-    bodies = ([], [], [])
+    bodies = ([], [], [], [])
     if others:
-        bodies = list(map(position_of, vehicles)), list(map(angle_of, vehicles)), list(map(time_loss_of, vehicles))
+        bodies = tuple(list(map(of, vehicles)) for of in (position_of, angle_of, lane_of, time_loss_of))
     distances, speeds = list(map(distance_of, vehicles)), list(map(speed_of, vehicles))
     walkers = []
     if persons:

@@ -7,7 +7,7 @@
 mod arguments;
 mod commands;
 
-use std::{fs::File, sync::Arc};
+use std::{collections::HashMap, fs::File, sync::Arc};
 
 use super::{
     Body, Collision, Error, Route, SimulationConfig, Snapshot, VehicleState, constants as c,
@@ -44,6 +44,9 @@ pub(super) struct Fleet {
     tiled: Option<Arc<File>>,
     /// Definitions of vehicle types, an unnamed file as well.
     definitions: Option<Arc<File>>,
+    /// Indices of the net's lanes by their ids without the colon of lanes in junctions: first those
+    /// on roads, then those in junctions. Empty without background traffic.
+    lanes: [HashMap<String, u32>; 2],
     /// State of each slot.
     slots: Vec<Slot>,
     /// State of each slot after the exchange in progress.
@@ -96,6 +99,7 @@ impl Fleet {
                 .map(|j| (0..worlds).map(|world| named(world, &j.id)).collect())
                 .unwrap_or_default(),
             diagonal: (high[0] - low[0]).hypot(high[1] - low[1]).max(0.0),
+            lanes: if config.others.is_some() { lanes_by_id(&net) } else { Default::default() },
             offsets,
             tiled,
             definitions,
@@ -149,22 +153,40 @@ impl Fleet {
     }
 
     /// Records the pose of a vehicle that SUMO drives: the centre of its front bumper, `angle` in
-    /// navigational degrees, and SUMO's time loss \[s\]. Ignores agents and vehicles that wait for
-    /// insertion.
-    pub(super) fn body(&mut self, vehicle: usize, [x, y]: [f64; 2], angle: f64, time_loss: f64) {
+    /// navigational degrees, the [`Fleet::lane`], and SUMO's time loss \[s\]. Ignores agents and
+    /// vehicles that wait for insertion.
+    pub(super) fn body(
+        &mut self,
+        vehicle: usize,
+        [x, y]: [f64; 2],
+        angle: f64,
+        lane: Option<u32>,
+        time_loss: f64,
+    ) {
         let slots = self.config.slots as usize;
         let first = self.config.others.as_ref().map_or(slots, |others| others.first_slot as usize);
         if vehicle % slots >= first && x != c::INVALID_DOUBLE_VALUE {
             let [dx, dy] = self.offsets[vehicle / slots];
             let heading = (90.0 - angle).to_radians();
-            self.snapshot.bodies[vehicle] = Some(Body { x: x - dx, y: y - dy, heading, time_loss });
+            self.snapshot.bodies[vehicle] =
+                Some(Body { x: x - dx, y: y - dy, heading, lane, time_loss });
         }
+    }
+
+    /// Returns the index of a lane in the net, given by its id in SUMO, where it may be a copy.
+    pub(super) fn lane(&self, id: &str) -> Option<u32> {
+        let (id, internal) = match id.strip_prefix(':') {
+            Some(rest) => (rest, 1),
+            None => (id, 0),
+        };
+        let id = if self.config.worlds == 1 { id } else { id.split_once('.')?.1 };
+        self.lanes[internal].get(id).copied()
     }
 
     /// Records the pose and the speed of a pedestrian, with arguments as in [`Fleet::body`].
     pub(super) fn pedestrian(&mut self, person: usize, position: [f64; 2], angle: f64, speed: f64) {
         if self.walks(person) && position[0] != c::INVALID_DOUBLE_VALUE {
-            self.body(person, position, angle, 0.0);
+            self.body(person, position, angle, None, 0.0);
             self.snapshot.vehicles[person] = Some(VehicleState { distance: 0.0, speed });
         }
     }
@@ -202,15 +224,15 @@ impl Fleet {
     }
 
     /// Records a collision that SUMO reports. Ignores collisions with vehicles that are not in this
-    /// fleet, and those with pedestrians, because SUMO's collision test gives pedestrians another
-    /// shape.
+    /// fleet, those of a vehicle with itself, which SUMO reports on roads with `bidi`, and those with
+    /// pedestrians, because SUMO's collision test gives pedestrians another shape.
     pub(super) fn collision(&mut self, collider: &str, victim: &str) {
         let (Some(collider), Some(victim)) =
             (self.vehicle_named(collider), self.vehicle_named(victim))
         else {
             return;
         };
-        if self.walks(collider) || self.walks(victim) {
+        if collider == victim || self.walks(collider) || self.walks(victim) {
             return;
         }
         let slots = self.config.slots;
@@ -245,6 +267,17 @@ impl Fleet {
         let known = self.next.iter().enumerate().filter(move |(_, s)| s.known && s.walks == walk);
         known.map(|(vehicle, _)| vehicle)
     }
+}
+
+fn lanes_by_id(net: &Net) -> [HashMap<String, u32>; 2] {
+    let mut lanes = [HashMap::new(), HashMap::new()];
+    for (lane, index) in net.lanes.iter().zip(0..) {
+        match lane.id.strip_prefix(':') {
+            Some(id) => lanes[1].insert(id.to_owned(), index),
+            None => lanes[0].insert(lane.id.clone(), index),
+        };
+    }
+    lanes
 }
 
 #[cfg(test)]

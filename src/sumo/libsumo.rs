@@ -138,7 +138,7 @@ impl LibsumoSimulation {
     /// Sends the commands, takes one step and records the results, all in one call across the
     /// bridge.
     fn exchange(&mut self, py: Python<'_>) -> Result<(), Error> {
-        type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<f64>);
+        type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<String>, Vec<f64>);
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
         type Collisions = Vec<(String, String)>;
         type Reply =
@@ -154,7 +154,7 @@ impl LibsumoSimulation {
             speeds,
             collisions,
             refusal,
-            (positions, angles, losses),
+            (positions, angles, lanes, losses),
             pedestrians,
         ) = reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
@@ -163,14 +163,15 @@ impl LibsumoSimulation {
             self.fleet.gone(name);
         }
         let mut values = distances.into_iter().zip(speeds);
-        let mut bodies = positions.into_iter().zip(angles).zip(losses);
+        let mut bodies = positions.into_iter().zip(angles).zip(lanes).zip(losses);
         for &vehicle in &self.asked {
             if self.fleet.knows(vehicle)
                 && let Some((distance, speed)) = values.next()
             {
                 self.fleet.report(vehicle, distance, speed);
-                if let Some(((position, angle), loss)) = bodies.next() {
-                    self.fleet.body(vehicle, position, angle, loss);
+                if let Some((((position, angle), lane), loss)) = bodies.next() {
+                    let lane = self.fleet.lane(&lane);
+                    self.fleet.body(vehicle, position, angle, lane, loss);
                 }
             }
         }

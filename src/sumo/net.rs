@@ -86,6 +86,8 @@ pub struct Lane {
     pub width: f64,
     /// Centre line in driving direction, at least two points \[m\].
     pub shape: Vec<[f64; 2]>,
+    /// Height of each point of the shape \[m\]; empty if the file gives none.
+    pub heights: Vec<f64>,
     /// Vehicle classes that may use the lane.
     pub classes: Classes,
 }
@@ -136,6 +138,9 @@ pub struct Edge {
     pub to: Option<String>,
     /// Function of the edge.
     pub function: EdgeFunction,
+    /// Edge of the opposite direction on the same strip of road (SUMO's `bidi`), index into
+    /// [`Net::edges`].
+    pub bidi: Option<usize>,
     /// Range of its lanes in [`Net::lanes`]; never empty.
     pub lanes: Range<usize>,
 }
@@ -165,9 +170,9 @@ pub struct Junction {
 }
 
 impl Junction {
-    /// Whether SUMO does not look for collisions in the junction.
+    /// Whether SUMO knows of no conflicts in the junction and does not look for collisions there.
     pub fn is_unregulated(&self) -> bool {
-        matches!(self.kind.as_str(), "unregulated" | "traffic_light_unregulated")
+        ["unregulated", "traffic_light_unregulated"].contains(&self.kind.as_str())
     }
 }
 

@@ -35,6 +35,9 @@ pub struct Body {
     pub y: f64,
     /// Heading \[rad\], counter-clockwise from +x.
     pub heading: f64,
+    /// Lane of the front bumper, as an index into [`Net::lanes`](super::net::Net::lanes); `None` for
+    /// a pedestrian, and where SUMO has the vehicle on no lane.
+    pub lane: Option<u32>,
     /// Time lost since departure by driving below the speed that its lane and type allow \[s\].
     pub time_loss: f64,
 }

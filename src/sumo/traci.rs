@@ -14,7 +14,7 @@ use super::{
     domain::{
         person,
         simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
-        vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
+        vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
     process::{Options, Process},
@@ -99,6 +99,7 @@ impl TraciSimulation {
             VAR_SPEED.id(),
             VAR_POSITION.id(),
             VAR_ANGLE.id(),
+            VAR_LANE_ID.id(),
             VAR_TIMELOSS.id(),
         ];
         let of_vehicles = if self.fleet.config().others.is_some() { &all[..] } else { &all[..2] };

@@ -15,6 +15,7 @@ mod dependencies;
 mod hosting;
 mod layers;
 mod learners;
+mod levels;
 mod nets;
 mod pages;
 mod policies;

@@ -78,6 +78,12 @@ pub(crate) struct Slot {
     /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle
     /// has not come near one yet.
     pub(crate) priority: u32,
+    /// Group of the route's conflicts for which the vehicle has its priority.
+    pub(crate) conflict_group: usize,
+    /// Route that a background vehicle was given; `route` is the one along the lane that it is on.
+    pub(crate) assigned: usize,
+    /// Lane that SUMO last reported for a background vehicle, as an index into the net's lanes.
+    pub(crate) lane: Option<u32>,
     /// How the agent's episode has ended.
     pub(crate) outcome: Outcome,
     /// The agent's first crash.

@@ -50,7 +50,8 @@ macro_rules! audit {
 audit! {
     /// Pairs that both tests saw.
     agreed,
-    /// Only the box test: the junction is of SUMO's type `unregulated`, where SUMO never tests.
+    /// Only the box test: the junction is of SUMO's type `unregulated` or
+    /// `traffic_light_unregulated`, where SUMO never tests.
     ours_unregulated: "only ours: unregulated junction",
     /// Only the box test: the boxes overlapped within a step, but no longer at its end.
     ours_between_steps: "only ours: between two steps",

@@ -1,6 +1,9 @@
 //! Background traffic: the vehicles that SUMO drives, and pedestrians. This module decides when
 //! they depart, reads where they are, and turns them into wrecks after collisions.
 //!
+//! A background vehicle is on the lane that SUMO reports: after a change of lanes, its route becomes
+//! the one along the new lane ([`LaneRoutes`](super::lane_routes::LaneRoutes)).
+//!
 //! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
 //! spawn places, then those of the route files, as many as the scenario's capacity allows. A
 //! background vehicle that collides with an agent or a wreck becomes a wreck itself, for as long
@@ -89,7 +92,7 @@ impl Background {
         }
         for ((slot, i), &(route, s)) in slots.iter_mut().zip(task.agents as u32..).zip(places) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
-            *slot = Slot { route, size, added: true, ..Slot::default() };
+            *slot = Slot { route, assigned: route, size, added: true, ..Slot::default() };
             commands.push(Command::Add {
                 world,
                 slot: i,
@@ -153,7 +156,7 @@ impl Background {
                 clock.due = Some(due).filter(|due| due.count > 0);
                 let (vehicle_type, size) = task.demand_type(due.kind);
                 let route = task.map.plan.departures[due.departure].route;
-                slots[i] = Slot { route, size, added: true, ..Slot::default() };
+                slots[i] = Slot { route, assigned: route, size, added: true, ..Slot::default() };
                 commands.push(Command::Depart {
                     world,
                     slot: (task.agents + i) as u32,
@@ -176,13 +179,12 @@ impl Background {
     ) {
         let first = world as usize * task.slots() + task.agents;
         for (i, slot) in slots.iter_mut().enumerate() {
-            let route = &task.map.routes[slot.route];
             let (body, state) = (snapshot.bodies.get(first + i), snapshot.vehicles.get(first + i));
             let (Some(body), Some(state)) = (body.copied().flatten(), state.copied().flatten())
             else {
                 if slot.departed {
                     // The vehicle came to the end of its route.
-                    self.effects.dismiss(i, route.is_walked());
+                    self.effects.dismiss(i, task.map.routes[slot.route].is_walked());
                     *slot = Slot::default();
                 }
                 continue;
@@ -193,12 +195,23 @@ impl Background {
                 Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
             let front = [body.x, body.y];
             let road_user = &mut self.effects.road_users[i];
-            let (s, _, segment) = if slot.departed {
-                route.lanes().project(front, slot.segment)
-            } else {
-                route.lanes().nearest(front)
+            let moved = (slot.lane != body.lane).then(|| {
+                slot.lane = body.lane;
+                task.map.lane_routes.change(&task.map.routes, slot)
+            });
+            let path = |slot: &Slot| task.map.routes[slot.route].lanes();
+            let (s, lateral, segment) = match moved.flatten() {
+                Some((route, segments)) => {
+                    slot.route = route;
+                    path(slot).nearest_of(front, *segments.start()..segments.end() + 1)
+                }
+                None if slot.departed => path(slot).project(front, slot.segment),
+                None => path(slot).nearest(front),
             };
+            let route = &task.map.routes[slot.route];
             (slot.s, slot.segment) = (route.on_path(s - half), segment);
+            // Pedestrians cut corners, so that their offset says nothing about the path ahead.
+            slot.lateral = if route.is_walked() { 0.0 } else { lateral };
             if slot.departed {
                 slot.before = slot.pose;
                 if slot.status == Status::Active {

@@ -27,7 +27,7 @@ impl Partner {
     /// Returns the crash of an agent on `route` with this vehicle.
     pub(super) fn crash(&self, route: &RouteGeometry, agent: &Slot, step: u32) -> Crash {
         let Self { route: other, same_path, wreck } = *self;
-        let upstream = route.conflicts.first().is_some_and(|c| c.own - agent.s > UPSTREAM);
+        let upstream = !route.conflicts.is_empty() && route.to_first_conflict(agent.s) > UPSTREAM;
         Crash { other, same_path, wreck, step, speed: agent.speed, upstream }
     }
 }
@@ -80,15 +80,17 @@ impl Collisions {
                     || !(moving(i) || moving(j))
                     || strangers
                     || !overlap_in_step(&slots[i], &slots[j])
+                    || on_two_levels(map, &slots[i], &slots[j])
                 {
                     continue;
                 }
                 let drives = |k: usize| k < agents && moving(k);
                 self.crashes += u32::from(drives(i) || drives(j));
                 let follows = |a: usize, b: usize| {
-                    let route = &map.routes[slots[a].route];
-                    let shared = route.shared_position(slots[b].route, slots[b].s);
-                    shared.is_some_and(|s| s >= slots[a].s)
+                    let gap =
+                        map.routes[slots[a].route].gap_to(slots[a].s, slots[b].route, slots[b].s);
+                    // On a path that meets itself, a vehicle that crosses is far ahead on it.
+                    gap.is_some_and(|gap| gap < slots[a].size[0] + slots[b].size[0])
                 };
                 let same_path = follows(i, j) || follows(j, i);
                 for (own, other) in [(i, j), (j, i)] {
@@ -120,6 +122,11 @@ impl Collisions {
             }
         }
     }
+}
+
+/// Whether one vehicle is on a bridge and the other below it.
+pub(super) fn on_two_levels(map: &Map, a: &Slot, b: &Slot) -> bool {
+    map.routes[a.route].passes_over(a.s, b.route, b.s, a.size[0] + b.size[0])
 }
 
 /// Whether the boxes of two vehicles overlap at some time of the last step.

@@ -34,11 +34,14 @@ pub(super) struct RoadUser {
 /// front of each entered and when its rear left.
 #[derive(Debug, Clone, Copy)]
 struct Pass {
+    /// Position of the conflict point on the agent's route \[m\].
+    at: f64,
     agent: [f64; 2],
     other: [f64; 2],
 }
 
-const NOT_YET: Pass = Pass { agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
+const NOT_YET: Pass =
+    Pass { at: f64::INFINITY, agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
 
 /// What is recorded about the background traffic of an episode.
 #[derive(Debug, Clone)]
@@ -106,11 +109,21 @@ impl Effects {
             if agent.status != Status::Active {
                 continue;
             }
-            let ttc = time_to_collision(agent, other);
+            let contact = |time: f64| {
+                let at = |slot: &Slot| slot.s + slot.speed * time;
+                let lengths = agent.size[0] + other.size[0];
+                !map.routes[agent.route].passes_over(at(agent), other.route, at(other), lengths)
+            };
+            let ttc = Some(time_to_collision(agent, other)).filter(|time| contact(*time));
+            let ttc = ttc.unwrap_or(HORIZON);
             self.ttc = self.ttc.min(ttc);
             self.road_users[road_user].close |= ttc < CLOSE;
-            let Some(met) = map.routes[agent.route].conflict_with(other.route) else { continue };
+            let route = &map.routes[agent.route];
+            let Some(met) = route.conflict_between(agent.s, other.route, other.s) else { continue };
             let pass = &mut self.passes[i * count + road_user];
+            if pass.at != met.own {
+                *pass = Pass { at: met.own, ..NOT_YET };
+            }
             note(&mut pass.agent, agent, met.own, other.size[1], now);
             note(&mut pass.other, other, met.other, agent.size[1], now);
             self.pet = self.pet.min(post_encroachment(pass));

@@ -18,6 +18,8 @@ const LOOK: (f64, f64, f64) = (0.6, 0.1, 0.4);
 #[derive(Clone, Copy)]
 pub(crate) struct Course<'a> {
     path: &'a Path,
+    /// The course's route, which knows where other routes pass over it.
+    route: Option<&'a RouteGeometry>,
     place: Candidate,
     size: Size,
     speed: f64,
@@ -36,7 +38,8 @@ impl<'a> Course<'a> {
         size: Size,
         speed: f64,
     ) -> Self {
-        Self { path: &routes[place.route].path, place, size, speed }
+        let route = &routes[place.route];
+        Self { path: &route.path, route: Some(route), place, size, speed }
     }
 
     /// Returns the pose after `time` seconds. The search on the path begins at `segment`, which
@@ -45,6 +48,14 @@ impl<'a> Course<'a> {
         let (point, on) = self.path.locate_from(self.place.s + self.speed * time, *segment);
         *segment = on;
         beside(point, self.path.direction(on), self.place.lateral)
+    }
+
+    /// Whether the two vehicles are on different levels after `time` seconds.
+    fn passes_over(&self, other: &Self, time: f64) -> bool {
+        let at = |course: &Self| course.place.s + course.speed * time;
+        let lengths = self.size[0] + other.size[0];
+        self.route
+            .is_some_and(|route| route.passes_over(at(self), other.place.route, at(other), lengths))
     }
 
     /// Half the diagonal of the vehicle \[m\].
@@ -93,6 +104,12 @@ impl Closest {
             // The vehicles' orientations matter only for the few pairs that are this close.
             let apart =
                 if far <= self.least { separation((own, a.size), (other, b.size)) } else { far };
+            // Vehicles on different levels come no closer than others that are just out of reach.
+            let apart = if apart <= self.least && a.passes_over(&b, time) {
+                self.least.max(f64::MIN_POSITIVE)
+            } else {
+                apart
+            };
             if apart < self.least || apart <= 0.0 {
                 (self.least, self.when) = (apart.max(0.0), time);
             }
@@ -128,6 +145,7 @@ mod tests {
         let place = |i: usize| Candidate { route: i, s: s[i], lateral: 0.0, segment: 0 };
         let course = |i: usize| Course {
             path: &paths[i],
+            route: None,
             place: place(i),
             size: [4.0, 2.0],
             speed: speed[i],

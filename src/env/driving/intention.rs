@@ -112,6 +112,8 @@ impl Intentions {
             }
             self.counts[j] = alike.len();
             let tracked = &mut self.tracked[j * self.most..][..alike.len()];
+            // A background vehicle that has changed lanes may be on a route with other candidates.
+            let begins = begins || tracked[0].candidate.route != alike[0];
             for (entry, &route) in tracked.iter_mut().zip(alike) {
                 let hint = (!begins).then_some(entry.candidate.segment);
                 let geometry = &map.routes[route];

@@ -69,10 +69,13 @@ fn is_anyone_ahead(route: &RouteGeometry, slots: &[Slot], agent: usize) -> bool 
         if !there || own.pose.distance(&other.pose) > reach {
             return false;
         }
-        let shared = route.shared_position(other.route, other.s);
-        let on_path = shared.is_some_and(|s| s > own.s && s - other.size[0] / 2.0 < end);
+        let gap = route.gap_to(own.s, other.route, other.s);
+        let on_path = gap.is_some_and(|gap| own.s + gap - other.size[0] / 2.0 < end);
         let body = (&other.pose, other.size);
-        on_path || poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
+        let lengths = own.size[0] + other.size[0];
+        on_path
+            || !route.passes_over(own.s, other.route, other.s, lengths)
+                && poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
     })
 }
 

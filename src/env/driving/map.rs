@@ -10,6 +10,8 @@ use super::detour::path_around;
 use super::error::Error;
 use super::forks::Forks;
 use super::geometry::Size;
+use super::lane_routes::LaneRoutes;
+use super::levels::Levels;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use crate::scenario::{Demand, DemandPlan, Scenario};
@@ -53,6 +55,11 @@ pub struct Map {
     pub routes: Vec<RouteGeometry>,
     /// Corners of the bounding box of all routes: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
+    /// Number of the routes that vehicles are given; those behind them lie on other lanes of the
+    /// same edges, and background vehicles come to be on them by changing lanes.
+    pub(super) given: usize,
+    /// The routes by lane, for background vehicles.
+    pub(super) lane_routes: LaneRoutes,
     /// Ids of the routes.
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
@@ -106,6 +113,18 @@ impl Map {
         for departure in &mut plan.departures {
             departure.route = places[departure.route];
         }
+        let given = lanes.len();
+        let mut bases: Vec<usize> = Vec::new();
+        if scenario.traffic.penetration < 1.0 {
+            bases.extend(0..scenario.routes.len());
+        }
+        let driven = plan.departures.iter().filter(|departure| departure.walk.is_none());
+        bases.extend(driven.map(|departure| departure.route));
+        let lane_routes = LaneRoutes::new(&net, &bases, &route_edges, &mut lanes);
+        for &route in &lane_routes.like {
+            route_ids.push(route_ids[route].clone());
+            route_edges.push(route_edges[route].clone());
+        }
         let size = [scenario.vehicle.length, scenario.vehicle.width];
         let routes = lay_routes(&net, scenario, &lanes, size);
         let several = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
@@ -117,6 +136,8 @@ impl Map {
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
             junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
+            given,
+            lane_routes,
             several_lanes: lanes.iter().any(|path| path.lanes.iter().any(several)),
             road: road.transpose()?,
             net_file: net_file.to_owned(),
@@ -177,10 +198,11 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
             (*path, *detoured) = (around, true);
         }
     }
+    let levels = Levels::new(net);
     let lay = |a: usize| {
         // Vehicles of route files arrive where SUMO removes them: at the end of the route.
         let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
-        let mut route = geometry(&driven, &detoured, a, arrival.unwrap_or(-1.0), size);
+        let mut route = geometry(&levels, &driven, &detoured, a, arrival.unwrap_or(-1.0), size);
         if arrival.is_none() {
             route.arrival = driven[a].length();
         }

@@ -173,7 +173,7 @@ pub(crate) fn free(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j:
 }
 
 /// Returns how far a vehicle has to drive to the next place where it can wait without blocking
-/// others: before a junction, or before the first conflict point of its route \[m\]. Places that
+/// others: before a junction, or before the next group of conflicts of its route \[m\]. Places that
 /// its front has passed by more than [`OVER`] do not count; `None` where none is left.
 pub(crate) fn to_entry(map: &Map, slot: &Slot) -> Option<f64> {
     let nose = slot.s + slot.size[0] / 2.0;
@@ -183,9 +183,13 @@ pub(crate) fn to_entry(map: &Map, slot: &Slot) -> Option<f64> {
 }
 
 /// Whether the vehicle at `behind` will come to the position of the vehicle at `ahead` on its
-/// route.
+/// route, and before any conflict with it. On a ring, the shorter way around counts.
 pub(crate) fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Candidate) -> bool {
-    routes[behind.route].shared_position(ahead.route, ahead.s).is_some_and(|s| s > behind.s)
+    let gap =
+        |from: &Candidate, to: &Candidate| routes[from.route].gap_to_leader(from.s, to.route, to.s);
+    gap(behind, ahead).is_some_and(|gap_ahead| {
+        gap(ahead, behind).is_none_or(|gap_behind| gap_ahead <= gap_behind)
+    })
 }
 
 /// Assigns priority to the vehicles that have come within `near` metres of their first conflict
@@ -201,6 +205,13 @@ pub(crate) fn assign(
         let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
         hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))
     };
+    // A vehicle that has left a group of conflicts gets a new priority at the next one.
+    for slot in traffic.slots.iter_mut().filter(|slot| slot.status != Status::Empty) {
+        let group = routes[slot.route].group_at(slot.s);
+        if std::mem::replace(&mut slot.conflict_group, group) != group {
+            slot.priority = 0;
+        }
+    }
     loop {
         let waiting = traffic.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
             let waits = slot.status != Status::Empty && slot.priority == 0;

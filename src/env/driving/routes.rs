@@ -1,6 +1,9 @@
 //! The routes' paths and how they relate to each other: shared lanes, crossings and merges.
 
+use super::agents::CLEARED;
+use super::conflicts::{Bridge, Pair};
 use super::geometry::{Pose, Size, boxes_overlap};
+use super::levels::Levels;
 use crate::sumo::net::Path;
 
 /// A route's path and its relation to the other routes. All positions are arc lengths from the
@@ -19,19 +22,25 @@ pub struct RouteGeometry {
     /// Lateral offsets, right and left, between which an agent that steers arrives: they span all
     /// lanes of the last edge \[m\].
     pub finish: [f64; 2],
-    /// The first conflict with each route that crosses or merges with this one, in the order in
-    /// which they lie along this route.
+    /// The conflicts with all routes, this one included, in the order in which they lie along this
+    /// route. Paths that stay close together give one conflict, where they come together.
     pub conflicts: Vec<Conflict>,
-    /// Routes without a conflict with this one.
+    /// Other routes without a conflict with this one.
     pub apart: Vec<usize>,
-    /// Conflicts with every route, in the order in which they lie along this route. The first of
-    /// each route is its entry in [`RouteGeometry::conflicts`].
+    /// Conflicts with every route, in the order in which they lie along this route: those of
+    /// [`RouteGeometry::conflicts`], and further places of strips that both paths use in opposite
+    /// directions.
     by_route: Vec<Vec<Conflict>>,
     /// For every route, the stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
+    /// Where other paths pass over or under this one.
+    bridges: Vec<Bridge>,
+    /// First and last position of each group of conflicts between which no vehicle has room to
+    /// wait.
+    groups: Vec<[f64; 2]>,
 }
 
-/// A conflict with another route: the point where the two paths cross or merge.
+/// A conflict of two routes, or of a route with itself: the point where the paths cross or merge.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Conflict {
     /// The other route.
@@ -44,19 +53,25 @@ pub struct Conflict {
 
 /// A stretch of another route on which vehicles count as on this route, too.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Shared {
+pub(super) struct Shared {
     /// Beginning of the stretch, as a position on the other route.
-    from: f64,
+    pub(super) from: f64,
     /// End of the stretch, as a position on the other route.
-    to: f64,
+    pub(super) to: f64,
     /// Position on this route minus the position of the same place on the other route.
-    shift: f64,
+    pub(super) shift: f64,
 }
 
-/// Lateral distance between paths from which vehicles on them pass each other \[m\].
-const APART: f64 = 2.5;
+impl Shared {
+    /// A whole route, shared with itself.
+    const IDENTITY: Self = Self { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 };
+}
+
 /// Distance between the positions at which paths are compared \[m\].
-const STEP: f64 = 0.25;
+pub(super) const STEP: f64 = 0.25;
+/// Conflicts at most this far apart are one group: a vehicle that has left the first with its whole
+/// body would already block the second \[m\].
+const ROOM: f64 = 20.0;
 
 impl RouteGeometry {
     /// Returns the centre line of the route's lanes, along which SUMO positions vehicles.
@@ -69,11 +84,36 @@ impl RouteGeometry {
         self.avoided.as_ref().map_or(s, |lanes| self.path.arc_of_distance(lanes.distance_of_arc(s)))
     }
 
-    /// Returns the position on this route of a vehicle at `s` on `route`, if that vehicle is on a
-    /// lane of both routes, or so close behind a fork or before a merge that it still blocks this
-    /// route; `None` otherwise.
-    pub fn shared_position(&self, route: usize, s: f64) -> Option<f64> {
-        self.shared[route].iter().find(|k| (k.from..=k.to).contains(&s)).map(|k| s + k.shift)
+    /// Returns how far ahead of `own` on this route a vehicle at `s` on `route` is, if that vehicle
+    /// is on a lane of both routes, or so close behind a fork or before a merge that it still blocks
+    /// this route; `None` if it is not there, or behind \[m\]. Where this route uses the lane several
+    /// times, the nearest time counts.
+    pub fn gap_to(&self, own: f64, route: usize, s: f64) -> Option<f64> {
+        // Stretches of consecutive lanes reach into each other and differ by rounding only, so that
+        // the first one counts.
+        let nearer = |nearest: Option<f64>, gap: f64| match nearest {
+            Some(nearest) if nearest <= gap + 1.0 => Some(nearest),
+            _ => Some(gap),
+        };
+        let on_both = self.shared[route].iter().filter(|k| (k.from..=k.to).contains(&s));
+        on_both.map(|k| s + k.shift - own).filter(|gap| *gap > 0.0).fold(None, nearer)
+    }
+
+    /// Returns the distance as [`RouteGeometry::gap_to`], but `None` if the two vehicles come to a
+    /// conflict before that.
+    pub fn gap_to_leader(&self, own: f64, route: usize, s: f64) -> Option<f64> {
+        let gap = self.gap_to(own, route, s)?;
+        let sooner = |met: Conflict| (met.own - own).max(met.other - s) < gap;
+        let met = self.next_conflict(own, route, s, 0.0);
+        (!met.is_some_and(sooner)).then_some(gap)
+    }
+
+    /// Returns whether the bodies of two vehicles at `own` on this route and at `other` on `route`
+    /// are on different levels, although they overlap in the plane. `lengths` is the sum of their
+    /// lengths \[m\].
+    pub fn passes_over(&self, own: f64, route: usize, other: f64, lengths: f64) -> bool {
+        let half = lengths / 2.0;
+        self.bridges.iter().any(|bridge| bridge.route == route && bridge.covers(own, other, half))
     }
 
     /// Returns whether pedestrians walk this route.
@@ -84,6 +124,14 @@ impl RouteGeometry {
     /// Returns the first conflict with `route`, in the order of this route.
     pub fn conflict_with(&self, route: usize) -> Option<Conflict> {
         self.by_route[route].first().copied()
+    }
+
+    /// Returns the first conflict between a vehicle at `own` on this route and one at `other` on
+    /// `route` that the two have not both left; the last one if they have left all.
+    pub(super) fn conflict_between(&self, own: f64, route: usize, other: f64) -> Option<Conflict> {
+        let met = &self.by_route[route];
+        let left = |met: &Conflict| (met.own - own).max(met.other - other) < -CLEARED;
+        met.iter().find(|met| !left(met)).or(met.last()).copied()
     }
 
     /// Returns the next conflict between a vehicle at `own` on this route and one at `other` on
@@ -99,10 +147,32 @@ impl RouteGeometry {
         self.by_route[route].iter().find(ahead).copied()
     }
 
-    /// Returns the distance from `s` to the first conflict point, or to the arrival if the route
-    /// has no conflict \[m\].
+    /// Returns the distance from `s` to the first point of the group of conflicts that the vehicle
+    /// has not yet left, which is negative in the group; to the last group after all of them; to the
+    /// arrival if the route has no conflict \[m\].
     pub fn to_first_conflict(&self, s: f64) -> f64 {
-        self.conflicts.first().map_or(self.arrival, |c| c.own) - s
+        let group = self.groups.get(self.group_at(s));
+        group.map_or(self.arrival, |group| group[0]) - s
+    }
+
+    /// Returns the number of the group of conflicts in which or before which a vehicle is.
+    pub(super) fn group_at(&self, s: f64) -> usize {
+        let left = self.groups.partition_point(|group| group[1] - s < -CLEARED);
+        left.min(self.groups.len().saturating_sub(1))
+    }
+
+    /// Returns the conflicts from the first one of the group in which or before which a vehicle is.
+    pub(super) fn group_from(&self, s: f64) -> &[Conflict] {
+        let Some([from, _]) = self.groups.get(self.group_at(s)) else { return &[] };
+        &self.conflicts[self.conflicts.partition_point(|conflict| conflict.own < *from)..]
+    }
+
+    /// Returns `count` of the conflicts: the first ones, or, where there are more, those that a
+    /// vehicle at `s` has not yet left, as long as any are left.
+    pub(super) fn upcoming(&self, s: f64, count: usize) -> &[Conflict] {
+        let left = self.conflicts.partition_point(|conflict| conflict.own - s < -CLEARED);
+        let first = left.min(self.conflicts.len().saturating_sub(count));
+        &self.conflicts[first..][..count.min(self.conflicts.len())]
     }
 }
 
@@ -110,6 +180,7 @@ impl RouteGeometry {
 /// marks the paths that leave their lanes for a detour; `arrival_pos` is the finish on the route's
 /// last edge \[m\], and a negative value counts from the edge's end.
 pub(super) fn geometry(
+    levels: &Levels<'_>,
     paths: &[Path],
     detoured: &[bool],
     a: usize,
@@ -119,30 +190,29 @@ pub(super) fn geometry(
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
-    let shared: Vec<Vec<Shared>> =
-        (0..paths.len()).map(|b| shared_stretches(path, &paths[b], a == b)).collect();
-    let mut by_route = vec![Vec::new(); paths.len()];
-    for (b, other) in paths.iter().enumerate().filter(|&(b, _)| b != a) {
-        let met = if detoured[a] || detoured[b] {
-            conflicts_around(path, other, &shared[b], size)
-        } else {
-            let first = first_conflict(path, other, &shared[b]);
-            first.or_else(|| near_miss(path, other, &shared[b])).into_iter().collect()
-        };
-        by_route[b] =
-            met.into_iter().map(|(own, other)| Conflict { route: b, own, other }).collect();
+    let (mut by_route, mut shared) = (Vec::new(), Vec::new());
+    let (mut conflicts, mut bridges) = (Vec::new(), Vec::new());
+    for (b, other) in paths.iter().enumerate() {
+        let stretches = shared_stretches(path, other, a == b);
+        let pair = Pair { levels, own: path, other, shared: &stretches, same: a == b, size };
+        let met = pair.meet(b, a != b && (detoured[a] || detoured[b]), &mut bridges);
+        let conflict = |own, other| Conflict { route: b, own, other };
+        let first = met.iter().filter(|place| place.first);
+        let first: Vec<_> = first.map(|place| conflict(place.own, place.other)).collect();
+        let coinciding = first.iter().filter_map(|met| coinciding_stretch(path, other, *met));
+        let stretches = stretches.iter().copied().chain(coinciding).collect();
+        let identity = (a == b).then_some(Shared::IDENTITY);
+        let stretches = identity.into_iter().chain(extended(path, other, stretches, size));
+        shared.push(stretches.collect());
+        by_route.push(met.iter().map(|place| conflict(place.own, place.other)).collect());
+        conflicts.extend(first);
     }
-    let mut conflicts: Vec<Conflict> =
-        by_route.iter().filter_map(|met| met.first().copied()).collect();
-    let apart = (0..paths.len()).filter(|&b| b != a && by_route[b].is_empty()).collect();
+    let no_conflict = |b: &usize| *b != a && Vec::<Conflict>::is_empty(&by_route[*b]);
+    let apart = (0..paths.len()).filter(no_conflict).collect();
     conflicts.sort_by(|x, y| x.own.total_cmp(&y.own).then(x.route.cmp(&y.route)));
-    let pairs = shared.into_iter().zip(paths).zip(&by_route);
-    let shared = pairs.map(|((mut stretches, other), met)| {
-        stretches.extend(met.first().and_then(|met| coinciding_stretch(path, other, *met)));
-        extended(path, other, stretches, size)
-    });
-    let shared = shared.collect();
     let half = path.widths.last().copied().unwrap_or_default() / 2.0;
+    let groups = conflicts.chunk_by(|x, y| y.own - x.own <= ROOM);
+    let groups = groups.map(|group| [group[0].own, group[group.len() - 1].own]).collect();
     RouteGeometry {
         path: path.clone(),
         avoided: None,
@@ -153,6 +223,8 @@ pub(super) fn geometry(
         apart,
         by_route,
         shared,
+        bridges,
+        groups,
     }
 }
 
@@ -165,33 +237,6 @@ fn coinciding_stretch(own: &Path, other: &Path, met: Conflict) -> Option<Shared>
     };
     let stretch = Shared { from: met.other, to: met.other + 1.0, shift: met.own - met.other };
     [0.0, 0.5, 1.0].into_iter().all(together).then_some(stretch)
-}
-
-/// Returns where the centre lines of two routes that share no lane are nearest, if they are so
-/// close there that vehicles in a curve would touch.
-fn near_miss(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
-    let driven = !own.lanes.is_empty() && !other.lanes.is_empty() && shared.is_empty();
-    // Of two lines that do not cross, the nearest place is at a point of one of them.
-    let beside = |line: &Path, points: &Path| {
-        let near = |(point, &at): (&[f64; 2], &f64)| {
-            let (s, lateral, _) = line.nearest(*point);
-            ((0.0..=line.length()).contains(&s) && lateral.abs() < APART).then_some((
-                lateral.abs(),
-                s,
-                at,
-            ))
-        };
-        points
-            .points
-            .iter()
-            .zip(&points.cumulative)
-            .filter_map(near)
-            .min_by(|x, y| x.0.total_cmp(&y.0))
-    };
-    let both = || {
-        beside(own, other).into_iter().chain(beside(other, own).map(|(gap, s, at)| (gap, at, s)))
-    };
-    if driven { both().min_by(|x, y| x.0.total_cmp(&y.0)).map(|(_, s, at)| (s, at)) } else { None }
 }
 
 /// Extends each stretch as far as a vehicle on `other` blocks a vehicle on `own`: behind a fork,
@@ -230,151 +275,14 @@ fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec
     stretches.into_iter().map(extend).collect()
 }
 
-/// Returns the stretches of lanes that both routes use, without any extension.
+/// Returns the stretches of lanes that both routes use, without any extension; of a route with
+/// itself (`same`), those that it uses several times.
 fn shared_stretches(own: &Path, other: &Path, same: bool) -> Vec<Shared> {
-    if same {
-        return vec![Shared { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 }];
-    }
     let mut stretches = Vec::new();
-    for (lane, start, _) in own.lane_stretches() {
-        if let Some((_, from, to)) = other.lane_stretches().find(|stretch| stretch.0 == lane) {
-            stretches.push(Shared { from, to, shift: start - from });
-        }
+    for (i, (lane, start, _)) in own.lane_stretches().enumerate() {
+        let alike = other.lane_stretches().enumerate();
+        let alike = alike.filter(|&(j, stretch)| stretch.0 == lane && !(same && i == j));
+        stretches.extend(alike.map(|(_, (_, from, to))| Shared { from, to, shift: start - from }));
     }
     stretches
-}
-
-/// Returns the first point, in driving order of `own`, where the centre line of `other` crosses or
-/// touches it outside the lanes that both use, as positions on `own` and `other`.
-fn first_conflict(own: &Path, other: &Path, shared: &[Shared]) -> Option<(f64, f64)> {
-    if let Some(exit_conflict) = exit_conflict(own, other) {
-        return Some(exit_conflict);
-    }
-    for i in 1..own.points.len() {
-        let mut best: Option<(f64, f64)> = None;
-        for j in 1..other.points.len() {
-            let middle = f64::midpoint(other.cumulative[j - 1], other.cumulative[j]);
-            if shared.iter().any(|k| (k.from..=k.to).contains(&middle)) {
-                continue;
-            }
-            let [a, b] = [own.points[i - 1], own.points[i]];
-            let [c, d] = [other.points[j - 1], other.points[j]];
-            if let Some((t, u)) =
-                crossing(a, b, c, d).or_else(|| overlap(a, b, c, d).map(|lies| lies[0]))
-            {
-                let found = (along(own, i, t), along(other, j, u));
-                // Two routes that fork from one lane touch at the fork, which is no conflict.
-                let fork = shared.iter().any(|k| (found.1 - k.to).abs() < 0.5);
-                if !fork && best.is_none_or(|b| found.0 < b.0) {
-                    best = Some(found);
-                }
-            }
-        }
-        if best.is_some() {
-            return best;
-        }
-    }
-    None
-}
-
-/// Returns the conflicts between two paths of which at least one has a detour, in driving order of
-/// `own`, as positions on `own` and `other`. Such paths may come near each other several times.
-/// Each stretch on which vehicles of this size would touch gives the place where the paths are
-/// nearest and, if the stretch is long, further places before and behind it.
-fn conflicts_around(own: &Path, other: &Path, shared: &[Shared], size: Size) -> Vec<(f64, f64)> {
-    /// Distance between the places of one stretch, in steps of [`STEP`].
-    const SPACING: usize = (4.0 / STEP) as usize;
-    let diagonal = size[0].hypot(size[1]);
-    let reach = (diagonal / STEP) as i32;
-    // `stretch` holds the gaps and places of the current stretch. A stretch that begins at a fork
-    // is no conflict.
-    let (mut found, mut stretch, mut forked) = (Vec::new(), Vec::new(), false);
-    for s in (0..=(own.length() / STEP) as u32).map(|k| f64::from(k) * STEP) {
-        let here = Pose::on(own, s);
-        let (at, gap, _) = other.nearest([here.x, here.y]);
-        let gap = gap.abs();
-        let common = shared
-            .iter()
-            .any(|k| (k.from..=k.to).contains(&at) && (at + k.shift - s).abs() < 2.0 * STEP);
-        let touch = |k: i32| {
-            boxes_overlap((&here, size), (&Pose::on(other, at + f64::from(k) * STEP), size))
-        };
-        let near = gap < APART || gap < diagonal && (-reach..=reach).any(touch);
-        forked = common || forked && near;
-        if near && !forked {
-            stretch.push((gap, (s, at)));
-        } else {
-            found.extend(spaced(&std::mem::take(&mut stretch), SPACING));
-        }
-    }
-    found.extend(spaced(&stretch, SPACING));
-    found
-}
-
-/// Returns the place with the smallest gap, and the places at multiples of `spacing` from it.
-fn spaced(places: &[(f64, (f64, f64))], spacing: usize) -> impl Iterator<Item = (f64, f64)> {
-    let nearest =
-        (0..places.len()).min_by(|&i, &j| places[i].0.total_cmp(&places[j].0)).unwrap_or(0);
-    places.iter().skip(nearest % spacing).step_by(spacing).map(|(_, place)| *place)
-}
-
-/// Returns the conflict of a route that begins on the path by which `other` arrives, such as a
-/// route out of a parking space that `other` ends in. The conflict is at the end of their common
-/// stretch, where the vehicle on `own` is out and the one on `other` is not yet in. It is not at
-/// the start of `own`, which that vehicle would have passed at once.
-fn exit_conflict(own: &Path, other: &Path) -> Option<(f64, f64)> {
-    /// Common stretches whose distance is at most this are one stretch \[m\].
-    const GAP: f64 = 0.1;
-    let mut end: Option<(f64, f64)> = None;
-    for i in 1..own.points.len() {
-        let reached = end.map_or(0.0, |(s, _)| s);
-        let common = (1..other.points.len()).rev().find_map(|j| {
-            let lies =
-                overlap(own.points[i - 1], own.points[i], other.points[j - 1], other.points[j])?;
-            let [first, last] = lies.map(|(t, u)| (along(own, i, t), along(other, j, u)));
-            (last.1 < first.1 && first.0 <= reached + GAP && last.0 > reached + GAP).then_some(last)
-        });
-        if common.is_none() {
-            break;
-        }
-        end = common;
-    }
-    end
-}
-
-/// Returns the position on a path at fraction `t` of its segment that ends at point number `k`.
-fn along(path: &Path, k: usize, t: f64) -> f64 {
-    path.cumulative[k - 1] + t * (path.cumulative[k] - path.cumulative[k - 1])
-}
-
-/// Returns where the segments `ab` and `cd` cross, as fractions of both. Parallel segments do not
-/// cross.
-pub(super) fn crossing(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<(f64, f64)> {
-    let (r, s) = ([b[0] - a[0], b[1] - a[1]], [d[0] - c[0], d[1] - c[1]]);
-    let cross = r[0] * s[1] - r[1] * s[0];
-    if cross.abs() < 1e-12 {
-        return None;
-    }
-    let q = [c[0] - a[0], c[1] - a[1]];
-    let t = (q[0] * s[1] - q[1] * s[0]) / cross;
-    let u = (q[0] * r[1] - q[1] * r[0]) / cross;
-    let inside = |x: f64| (-1e-9..=1.0 + 1e-9).contains(&x);
-    (inside(t) && inside(u)).then_some((t, u))
-}
-
-/// Returns where `cd` begins and ceases to coincide with `ab`, in the direction of `ab` and as
-/// fractions of both.
-fn overlap(a: [f64; 2], b: [f64; 2], c: [f64; 2], d: [f64; 2]) -> Option<[(f64, f64); 2]> {
-    /// Segments at most this far apart coincide \[m\].
-    const CLOSE: f64 = 0.1;
-    let (r, length) = ([b[0] - a[0], b[1] - a[1]], (b[0] - a[0]).hypot(b[1] - a[1]));
-    if length == 0.0 {
-        return None;
-    }
-    let along = |p: [f64; 2]| ((p[0] - a[0]) * r[0] + (p[1] - a[1]) * r[1]) / (length * length);
-    let beside = |p: [f64; 2]| ((p[1] - a[1]) * r[0] - (p[0] - a[0]) * r[1]).abs() / length;
-    let (from, to) = (along(c), along(d));
-    let (first, last) = (from.min(to).max(0.0), from.max(to).min(1.0));
-    let lies_on = beside(c) < CLOSE && beside(d) < CLOSE && (last - first) * length > CLOSE;
-    lies_on.then(|| [first, last].map(|t| (t, (t - from) / (to - from))))
 }

@@ -114,18 +114,26 @@ fn write_lane(view: &View<'_>, w: &mut Writer<'_>) {
 
 /// Writes the vehicles on the routes that conflict with the agent's.
 fn write_streams(view: &View<'_>, w: &mut Writer<'_>) {
+    let (route, s) = (view.route(), view.own().s);
+    // Where encounters stand for streams, the state describes the first conflict of the group.
+    let conflicts = match view.scenario.observation.conflict_streams {
+        0 => route.group_from(s),
+        count => route.upcoming(s, count),
+    };
     for stream in 0..streams(view.scenario) {
-        let Some(conflict) = view.route().conflicts.get(stream) else {
+        let Some(conflict) = conflicts.get(stream) else {
             w.skip(PER_STREAM * VEHICLE.len() + COUNTS.len());
             continue;
         };
-        let queue = &view.traffic.by_route[conflict.route];
-        let approaching = queue
-            .iter()
+        let queue = || {
+            let queue = view.traffic.by_route[conflict.route].iter();
+            queue.filter(|&&j| j != view.slot)
+        };
+        let approaching = queue()
             .map(|&j| (conflict.other - view.traffic.slots[j].s, j))
             .filter(|v| v.0 > -CLEARED);
         put_vehicles(view, w, approaching, PER_STREAM);
-        put_counts(view, w, queue.iter().copied());
+        put_counts(view, w, queue().copied());
     }
 }
 

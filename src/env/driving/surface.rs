@@ -8,14 +8,17 @@
 //!
 //! In left-hand nets, left and right are the other way round.
 //!
+//! Where a road passes over or under another, the lines of each have a gap on the lanes of the other.
+//!
 //! With [`Border::Kerb`], only the line between the two directions of a road remains, and no part
 //! of a vehicle may be beyond the kerb. Where a road ends in the net, neither a line nor a kerb
 //! crosses it: only the vehicle's centre must not be beyond the end.
 
 use std::collections::HashSet;
 
+use super::conflicts::crossing;
 use super::geometry::stretch;
-use super::routes::crossing;
+use super::levels::Levels;
 use crate::scenario::{Border, Termination};
 use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 
@@ -24,6 +27,8 @@ use crate::sumo::net::{Edge, EdgeFunction, Lane, Net};
 pub(super) const BESIDE: f64 = 0.6;
 /// Lines of two edges whose ends are at most this far apart are one line \[m\].
 const SAME: f64 = 0.1;
+/// Length of the pieces of which a line loses those that lie on a road of another level \[m\].
+const PIECE: f64 = 0.5;
 
 pub(super) type Point = [f64; 2];
 
@@ -127,12 +132,12 @@ pub(super) fn lay_lanes(net: &Net) -> (Vec<Strip>, Vec<End>) {
     (strips, road_ends)
 }
 
-/// Lines that end the road.
-type Lines = Vec<[Point; 2]>;
+/// Lines that end the road, each with the lane beside which it lies, and its segment there.
+type Lines = Vec<([Point; 2], usize, usize)>;
 
 /// Returns the lines of a net: a vehicle that touches one is off-road. The lines of a left-hand net
 /// are the mirror image of those of its mirror image.
-pub(super) fn draw_lines(net: &Net, termination: &Termination) -> Lines {
+pub(super) fn draw_lines(net: &Net, termination: &Termination) -> Vec<[Point; 2]> {
     if net.left_hand {
         let lines = draw_lines(&net.mirrored(), termination);
         return lines.into_iter().map(|line| line.map(|[x, y]| [x, -y])).collect();
@@ -144,15 +149,92 @@ pub(super) fn draw_lines(net: &Net, termination: &Termination) -> Lines {
     }
     // Two roads side by side share one line, which was drawn for each of them.
     let mut drawn = HashSet::new();
-    lines.retain(|&[a, b]| {
+    lines.retain(|&([a, b], ..)| {
         let [a, b] = [a, b].map(|end| end.map(f64::to_bits));
         drawn.insert(if a < b { [a, b] } else { [b, a] })
     });
-    lines
+    cut_at_bridges(net, lines)
 }
 
-fn draw(points: &[Point], lines: &mut Lines) {
-    lines.extend(points.windows(2).map(|pair| [pair[0], pair[1]]));
+/// Returns the lines without their parts on the lanes of roads that pass over or under theirs.
+fn cut_at_bridges(net: &Net, lines: Lines) -> Vec<[Point; 2]> {
+    let levels = Levels::new(net);
+    let bounds = |points: &[Point]| {
+        let mut bounds = [[f64::INFINITY; 2], [f64::NEG_INFINITY; 2]];
+        for point in points {
+            for axis in 0..2 {
+                bounds[0][axis] = bounds[0][axis].min(point[axis]);
+                bounds[1][axis] = bounds[1][axis].max(point[axis]);
+            }
+        }
+        bounds
+    };
+    let lane_bounds: Vec<_> = net.lanes.iter().map(|lane| bounds(&lane.shape)).collect();
+    let mut cut = Vec::with_capacity(lines.len());
+    for (line, beside, segment) in lines {
+        let [low, high] = bounds(&line);
+        let mut over: Vec<([Point; 2], f64)> = Vec::new();
+        for (index, lane) in net.lanes.iter().enumerate() {
+            let [from, to] = lane_bounds[index];
+            if lane.edge == net.lanes[beside].edge
+                || lane.is_sidewalk()
+                || (0..2).any(|axis| from[axis] > high[axis] || to[axis] < low[axis])
+            {
+                continue;
+            }
+            for (k, pair) in lane.shape.windows(2).enumerate() {
+                let Some((t, u)) = crossing(line[0], line[1], pair[0], pair[1]) else { continue };
+                let (own, other) = (position(net, beside, segment, t), position(net, index, k, u));
+                if !levels.lanes_meet((beside, own), (index, other), false) {
+                    over.push(([pair[0], pair[1]], lane.width / 2.0 + BESIDE));
+                }
+            }
+        }
+        if over.is_empty() {
+            cut.push(line);
+            continue;
+        }
+        let [a, b] = line;
+        let count = ((b[0] - a[0]).hypot(b[1] - a[1]) / PIECE).ceil().max(1.0);
+        let at = |k: f64| [0, 1].map(|axis| a[axis] + (b[axis] - a[axis]) * k / count);
+        let pieces = (0..count as u32).map(f64::from).filter(|k| {
+            let middle = at(k + 0.5);
+            !over.iter().any(|(lane, half)| distance(*lane, middle) <= *half)
+        });
+        // Pieces that follow each other are one line.
+        let mut open: Option<(f64, f64)> = None;
+        for k in pieces {
+            open = match open {
+                Some((first, next)) if next == k => Some((first, k + 1.0)),
+                Some((first, next)) => {
+                    cut.push([at(first), at(next)]);
+                    Some((k, k + 1.0))
+                }
+                None => Some((k, k + 1.0)),
+            };
+        }
+        cut.extend(open.map(|(first, next)| [at(first), at(next)]));
+    }
+    cut
+}
+
+/// Returns the position on a lane, in SUMO's metres, of a place at fraction `t` of a segment of its
+/// shape.
+fn position(net: &Net, lane: usize, segment: usize, t: f64) -> f64 {
+    let lane = &net.lanes[lane];
+    let steps: Vec<f64> = (lane.shape.windows(2))
+        .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
+        .collect();
+    let before: f64 = steps[..segment].iter().sum();
+    let metres = steps.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+    (before + t * steps[segment]) / metres * lane.length
+}
+
+/// Adds the line at `offset` metres to the left of a lane.
+fn draw(net: &Net, lane: usize, offset: f64, lines: &mut Lines) {
+    let points = parallel(&net.lanes[lane].shape, offset);
+    let segments = points.windows(2).enumerate();
+    lines.extend(segments.map(|(k, pair)| ([pair[0], pair[1]], lane, k)));
 }
 
 /// Adds the lines at both sides of edges, and those along the outside of junctions. Edges in
@@ -160,22 +242,23 @@ fn draw(points: &[Point], lines: &mut Lines) {
 fn draw_all(net: &Net, broken: &[String], lines: &mut Lines) {
     for edge in net.edges.iter().filter(|edge| edge.function == EdgeFunction::Normal) {
         let lanes = net.carriageway(edge);
-        let (right, left) = (&net.lanes[lanes.start], &net.lanes[lanes.end - 1]);
-        draw(&parallel(&right.shape, -right.width / 2.0), lines);
+        let (right, left) = (lanes.start, lanes.end - 1);
+        draw(net, right, -net.lanes[right].width / 2.0, lines);
         if !broken.contains(&edge.id) {
-            draw(&parallel(&left.shape, left.width / 2.0), lines);
+            draw(net, left, net.lanes[left].width / 2.0, lines);
         }
     }
     for lane in outer_lanes(net) {
-        draw(&parallel(&lane.shape, -lane.width / 2.0), lines);
+        draw(net, lane, -net.lanes[lane].width / 2.0, lines);
     }
 }
 
 /// Adds the lines between the two directions of a road, which are edges that connect the same
 /// two junctions. Edges in `broken` get none.
 fn draw_between_directions(net: &Net, broken: &[String], lines: &mut Lines) {
+    let leftmost = |edge: &Edge| net.carriageway(edge).end - 1;
     let left = |edge: &Edge| {
-        let lane = &net.lanes[net.carriageway(edge).end - 1];
+        let lane = &net.lanes[leftmost(edge)];
         parallel(&lane.shape, lane.width / 2.0)
     };
     let near = |a: Point, b: Point| (a[0] - b[0]).hypot(a[1] - b[1]) < SAME;
@@ -188,19 +271,20 @@ fn draw_between_directions(net: &Net, broken: &[String], lines: &mut Lines) {
         };
         let mut others = net.edges[..i].iter().filter(normal);
         if others.any(|other| (&other.from, &other.to) == (&edge.to, &edge.from) && back(other)) {
-            draw(&line, lines);
+            let lane = leftmost(edge);
+            draw(net, lane, net.lanes[lane].width / 2.0, lines);
         }
     }
 }
 
 /// Returns the lanes over junctions that follow the outside of the junction, with the road's
 /// border to their right.
-fn outer_lanes(net: &Net) -> impl Iterator<Item = &Lane> {
+fn outer_lanes(net: &Net) -> impl Iterator<Item = usize> {
     let outermost = |lane: usize| net.carriageway(&net.edges[net.lanes[lane].edge]).start == lane;
     let joins =
         net.connections.iter().filter(move |join| outermost(join.from) && outermost(join.to));
-    let lanes = joins.filter_map(|join| join.via).map(|via| &net.lanes[via]);
-    lanes.filter(|lane| {
+    joins.filter_map(|join| join.via).filter(|&lane| {
+        let lane = &net.lanes[lane];
         let border = parallel(&lane.shape, -lane.width / 2.0);
         let inside = |lane: &&Lane| net.edges[lane.edge].function == EdgeFunction::Internal;
         !net.lanes.iter().filter(inside).any(|other| meet(&border, &other.shape))

@@ -179,6 +179,7 @@ impl Task {
             // under the largest jitter.
             vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],
             routes: (self.map.route_ids.iter().zip(&self.map.route_edges).zip(&self.map.routes))
+                .take(self.map.given)
                 .map(|((id, edges), geometry)| Route {
                     id: id.clone(),
                     edges: edges.clone(),

@@ -43,6 +43,9 @@ pub struct Path {
     lane_start: Vec<f64>,
     /// Like `scale`, for each of [`Path::lanes`].
     lane_scale: Vec<f64>,
+    /// Lanes of a walk: the lane, whether it is walked against its shape, and the `s` where it
+    /// begins \[m\]; empty if vehicles drive the path.
+    walked: Vec<(usize, bool, f64)>,
 }
 
 impl Path {
@@ -89,6 +92,11 @@ impl Path {
         let mut path = Self::empty();
         for &(index, backwards) in steps {
             let lane = &net.lanes[index];
+            let (first, last) = (lane.shape.first(), lane.shape.last());
+            if let Some(&start) = if backwards { last } else { first } {
+                path.push(start, lane.width);
+            }
+            path.walked.push((index, backwards, path.length()));
             if backwards {
                 lane.shape.iter().rev().for_each(|&point| path.push(point, lane.width));
             } else {
@@ -152,6 +160,7 @@ impl Path {
                 .zip(&self.lane_scale)
                 .map(|((_, s, end), scale)| scale * longer(s, end))
                 .collect(),
+            walked: self.walked.clone(),
             ..path
         }
     }
@@ -171,6 +180,7 @@ impl Path {
             lane_position: Vec::new(),
             lane_start: Vec::new(),
             lane_scale: Vec::new(),
+            walked: Vec::new(),
         }
     }
 
@@ -223,6 +233,21 @@ impl Path {
             .zip(&self.lane_start)
             .zip(ends)
             .map(|((lane, start), end)| (*lane, *start, end))
+    }
+
+    /// Returns the lane at `s`, as an index into [`Net::lanes`], and the position on it in SUMO's
+    /// metres, also for walks. A position beyond a lane's end is in a gap of the path between two
+    /// lanes. `None` if the path was built from points.
+    pub(crate) fn lane_at(&self, net: &Net, s: f64) -> Option<(usize, f64)> {
+        let last = |starts: usize| starts.saturating_sub(1);
+        if self.lanes.is_empty() {
+            let at = last(self.walked.partition_point(|(_, _, start)| *start <= s));
+            let &(lane, backwards, start) = self.walked.get(at)?;
+            let length = net.lanes[lane].length;
+            return Some((lane, if backwards { length - (s - start) } else { s - start }));
+        }
+        let at = last(self.lane_start.partition_point(|&start| start <= s));
+        Some((*self.lanes.get(at)?, (s - self.lane_start[at]) / self.lane_scale[at]))
     }
 
     /// Returns the `s` at `distance` metres from the start of the route in SUMO's distance, which

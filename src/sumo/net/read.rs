@@ -78,6 +78,16 @@ impl Reader<'_, '_> {
         for node in elements(root, "edge") {
             self.edge(node, &mut net, &mut lane_by_id)?;
         }
+        for node in elements(root, "edge") {
+            let Some(id) = node.attribute("bidi").filter(|id| !id.is_empty()) else { continue };
+            let partner = net.edge_index(id).ok_or_else(|| {
+                self.reference(node, "bidi", id, net.edges.iter().map(|edge| edge.id.as_str()))
+            })?;
+            let edge = node.attribute("id").and_then(|id| net.edge_index(id));
+            if let Some(edge) = edge {
+                net.edges[edge].bidi = Some(partner);
+            }
+        }
         let mut junction_ids = HashSet::new();
         for node in elements(root, "junction") {
             let junction = Junction {
@@ -85,7 +95,7 @@ impl Reader<'_, '_> {
                 kind: node.attribute("type").unwrap_or_default().into(),
                 x: self.number(node, "x", f64::NEG_INFINITY)?,
                 y: self.number(node, "y", f64::NEG_INFINITY)?,
-                shape: self.points(node, 0)?,
+                shape: self.points(node, 0)?.0,
             };
             if !junction_ids.insert(junction.id.clone()) {
                 return Err(self.duplicate(node, "junction", &junction.id));
@@ -180,12 +190,14 @@ impl Reader<'_, '_> {
                 Some("walkingarea") => EdgeFunction::WalkingArea,
                 Some(_) => EdgeFunction::Other,
             },
+            bidi: None,
             lanes: start..net.lanes.len(),
         });
         Ok(())
     }
 
     fn lane(&self, node: Node, edge: usize) -> Result<Lane, NetError> {
+        let (shape, heights) = self.points(node, 2)?;
         Ok(Lane {
             id: self.text(node, "id")?.into(),
             edge,
@@ -196,7 +208,8 @@ impl Reader<'_, '_> {
                 None => DEFAULT_LANE_WIDTH,
                 Some(_) => self.number(node, "width", 0.0)?,
             },
-            shape: self.points(node, 2)?,
+            shape,
+            heights,
             classes: self.classes(node)?,
         })
     }
@@ -245,8 +258,9 @@ impl Reader<'_, '_> {
             .map_err(|_| self.value(node, key, "a whole number of at least 0"))
     }
 
-    /// Reads the attribute `shape`: points `x,y` or `x,y,z`, separated by spaces.
-    fn points(&self, node: Node, least: usize) -> Result<Vec<[f64; 2]>, NetError> {
+    /// Reads the attribute `shape`: points `x,y` or `x,y,z`, separated by spaces. The second result
+    /// holds the heights `z`, 0 where a point has none; it is empty if no point has one.
+    fn points(&self, node: Node, least: usize) -> Result<(Vec<[f64; 2]>, Vec<f64>), NetError> {
         let text = if least == 0 {
             node.attribute("shape").unwrap_or_default()
         } else {
@@ -254,13 +268,17 @@ impl Reader<'_, '_> {
         };
         let point = |text: &str| {
             let numbers: Vec<f64> = text.split(',').map(finite).collect::<Option<_>>()?;
-            matches!(numbers.len(), 2 | 3).then(|| [numbers[0], numbers[1]])
+            matches!(numbers.len(), 2 | 3)
+                .then(|| ([numbers[0], numbers[1]], numbers.get(2).copied()))
         };
         let points: Option<Vec<_>> = text.split_whitespace().map(point).collect();
-        let points = points.filter(|points| points.len() >= least);
-        points.ok_or_else(|| {
+        let points = points.filter(|points| points.len() >= least).ok_or_else(|| {
             self.value(node, "shape", "points x,y separated by spaces, two or more for a lane")
-        })
+        })?;
+        let any = points.iter().any(|(_, height)| height.is_some());
+        let heights = points.iter().filter(|_| any).map(|(_, height)| height.unwrap_or(0.0));
+        let heights = heights.collect();
+        Ok((points.into_iter().map(|(point, _)| point).collect(), heights))
     }
 
     fn error(&self, offset: usize, problem: Problem) -> NetError {

@@ -8,7 +8,7 @@ use crate::sumo::{
     constants::{self as c, Domain},
     domain::{
         simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
-        vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
+        vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
     reply::{Report, Sink, read_collision_count, read_value},
@@ -22,6 +22,7 @@ const DISTANCE: u8 = VAR_DISTANCE.number();
 const SPEED: u8 = VAR_SPEED.number();
 const POSITION: u8 = VAR_POSITION.number();
 const ANGLE: u8 = VAR_ANGLE.number();
+const LANE: u8 = VAR_LANE_ID.number();
 const TIME_LOSS: u8 = VAR_TIMELOSS.number();
 
 /// A sink that reads the reply to a step into the snapshot. The order of a vehicle's variables in
@@ -41,6 +42,8 @@ struct Row {
     speed: Option<f64>,
     position: Option<[f64; 2]>,
     angle: Option<f64>,
+    /// The lane, if the net has one of the reported id.
+    lane: Option<Option<u32>>,
     time_loss: Option<f64>,
     /// Whether SUMO reports that it does not know the object.
     gone: bool,
@@ -76,6 +79,7 @@ impl Sink for StepSink<'_> {
             SPEED => self.row.speed = Some(finite(value)?),
             POSITION => self.row.position = Some(finite_point(value)?),
             ANGLE => self.row.angle = Some(finite(value)?),
+            LANE => self.row.lane = Some(self.fleet.lane(value.string()?)),
             TIME_LOSS => self.row.time_loss = Some(finite(value)?),
             _ => drop(read_value(report.response, report.variable, value)?),
         }
@@ -102,7 +106,8 @@ impl Sink for StepSink<'_> {
             self.fleet.report(vehicle, distance, speed);
             if self.fleet.config().others.is_some() {
                 let time_loss = row.time_loss.ok_or_else(lacks("the variable `time loss`"))?;
-                self.fleet.body(vehicle, position()?, angle()?, time_loss);
+                let lane = row.lane.ok_or_else(lacks("the variable `lane`"))?;
+                self.fleet.body(vehicle, position()?, angle()?, lane, time_loss);
             }
         }
         Ok(())

@@ -84,8 +84,7 @@ impl Encounter {
     /// Returns where an agent on `route` next meets another vehicle on one of that vehicle's
     /// candidate routes.
     fn of(route: &RouteGeometry, own: &Slot, candidate: &Candidate, other: &Slot) -> Option<Self> {
-        let shared = route.shared_position(candidate.route, candidate.s).map(|s| s - own.s);
-        if let Some(distance) = shared.filter(|distance| *distance > 0.0) {
+        if let Some(distance) = route.gap_to_leader(own.s, candidate.route, candidate.s) {
             let gap = distance - f64::midpoint(own.size[0], other.size[0]);
             return Some(Self { own: gap, other: 0.0, ahead: true });
         }

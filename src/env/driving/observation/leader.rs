@@ -27,9 +27,9 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     let (own, route) = (view.own(), view.route());
     let mut ahead = 0;
     let mut leader: Option<(f64, usize)> = None;
-    let gap_on = |place: Candidate| route.shared_position(place.route, place.s).map(|s| s - own.s);
+    let gap_on = |place: Candidate| route.gap_to(own.s, place.route, place.s);
     for j in view.detected() {
-        let gaps = view.knowledge.candidates(j).filter_map(gap_on).filter(|&gap| gap > 0.0);
+        let gaps = view.knowledge.candidates(j).filter_map(gap_on);
         if let Some(gap) = gaps.min_by(f64::total_cmp) {
             ahead += 1;
             if leader.is_none_or(|(best, _)| gap < best) {

@@ -7,6 +7,7 @@ use nalgebra::Vector2;
 
 use super::group::{FeatureGroup, View, Writer};
 use crate::env::driving::agents::Status;
+use crate::env::driving::collisions::on_two_levels;
 use crate::env::driving::geometry::{Size, Stance, direction, to_box};
 use crate::env::driving::road::Road;
 use crate::env::spec::Described;
@@ -31,7 +32,10 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     let mut beams = Beams::new(lidar, own, &mut along[..lidar.beams], &mut ends[..lidar.beams]);
     beams.end_with_road(view.map.road());
     for (j, other) in traffic.slots.iter().enumerate() {
-        if j == view.slot || other.status == Status::Empty {
+        if j == view.slot
+            || other.status == Status::Empty
+            || on_two_levels(view.map, view.own(), other)
+        {
             continue;
         }
         beams.end_with_body(traffic.stance(j), other.size);
@@ -180,8 +184,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::env::driving::conflicts::crossing;
     use crate::env::driving::geometry::Pose;
-    use crate::env::driving::routes::crossing;
     use crate::scenario::{Border, Termination};
 
     const HALF: [f64; 2] = [2.2575, 0.926];

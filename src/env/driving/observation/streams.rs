@@ -1,5 +1,5 @@
 //! The vehicles next to each conflict point of the agent's route, and those whose routes have no
-//! conflict with it.
+//! conflict with it. A route with more conflicts than streams shows those that come next.
 
 use super::group::{COUNT, FAR, FeatureGroup, NEAR, SPEED, View, Writer, moving};
 use crate::env::driving::agents::{CLEARED, Candidate};
@@ -50,8 +50,9 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
         let speed = other.speed.max(0.0) / SPEED;
         [distance / FAR, distance / NEAR, speed, moving(other.status), 1.0]
     };
+    let conflicts = route.upcoming(own.s, settings.conflict_streams);
     for stream in 0..settings.conflict_streams {
-        let Some(conflict) = route.conflicts.get(stream) else {
+        let Some(conflict) = conflicts.get(stream) else {
             w.skip(STREAM.len() + VEHICLE.len() * settings.stream_vehicles);
             continue;
         };

@@ -97,7 +97,7 @@ impl Rails {
             }));
             snapshot.bodies.push(vehicle.filter(|_| slot >= self.task.agents).map(|(r, s, _)| {
                 let ([x, y], heading) = route(r).at(s);
-                Body { x, y, heading, time_loss: 0.0 }
+                Body { x, y, heading, lane: None, time_loss: 0.0 }
             }));
         }
         snapshot

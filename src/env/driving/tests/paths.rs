@@ -16,15 +16,15 @@ fn a_vehicle_behind_a_fork_is_still_ahead() {
     let (own, other) = (&task.map.routes[left], &task.map.routes[right]);
     let fork = other.path.arc(0, -1e-6).expect("the end of its first edge");
     for s in [fork - 10.0, fork - 0.1, fork + 2.0] {
-        let there = own.shared_position(right, s).unwrap_or_else(|| panic!("{s} of {fork}"));
+        let there = own.gap_to(0.0, right, s).unwrap_or_else(|| panic!("{s} of {fork}"));
         assert!((there - s).abs() < 0.1, "{s}: {there}");
     }
-    assert_eq!(own.shared_position(right, other.path.length() - 1.0), None);
+    assert_eq!(own.gap_to(0.0, right, other.path.length() - 1.0), None);
     // A vehicle that counts as ahead is close to the path.
     for (a, own) in task.map.routes.iter().enumerate() {
         for (b, other) in task.map.routes.iter().enumerate().filter(|(b, _)| *b != a) {
             for s in (0..other.path.length() as u32).map(f64::from) {
-                let Some(there) = own.shared_position(b, s) else { continue };
+                let Some(there) = own.gap_to(0.0, b, s) else { continue };
                 let ([x, y], [u, v]) = (other.path.at(s).0, own.path.at(there).0);
                 assert!(
                     (x - u).hypot(y - v) < 5.0,
@@ -53,7 +53,7 @@ fn every_vehicle_in_the_way_is_an_encounter() {
                     (0..=(2.0 * route.arrival) as u32).map(|k| f64::from(k) / 2.0)
                 };
                 for s in samples(other) {
-                    if own.shared_position(b, s).is_some() {
+                    if own.gap_to(f64::NEG_INFINITY, b, s).is_some() {
                         continue;
                     }
                     let live = |t: f64| own.next_conflict(t, b, s, CLEARED).is_some();

@@ -35,6 +35,7 @@ fn around(w: &mut Writer, vehicle: &str, variables: &[VariableId]) {
                 DISTANCE => w.double(5.0),
                 SPEED => w.double(6.0),
                 ANGLE => w.double(90.0),
+                LANE => w.string("south_in_0"),
                 _ => w.double(7.0),
             };
         }
@@ -44,14 +45,22 @@ fn around(w: &mut Writer, vehicle: &str, variables: &[VariableId]) {
 #[test]
 fn the_order_of_the_variables_does_not_matter() {
     let mut fleet = fleet(Some(BackgroundTraffic::default()));
-    let mut variables =
-        [VAR_DISTANCE.id(), VAR_SPEED.id(), VAR_POSITION.id(), VAR_ANGLE.id(), VAR_TIMELOSS.id()];
-    for i in 0..20 {
-        variables.swap(i % 4, i % 4 + 1);
+    let mut variables = [
+        VAR_DISTANCE.id(),
+        VAR_SPEED.id(),
+        VAR_POSITION.id(),
+        VAR_ANGLE.id(),
+        VAR_LANE_ID.id(),
+        VAR_TIMELOSS.id(),
+    ];
+    let lane = fleet.lane("south_in_0");
+    assert!(lane.is_some(), "the net has this lane");
+    for i in 0..30 {
+        variables.swap(i % 5, i % 5 + 1);
         read(&mut fleet, |w| around(w, "w0s1", &variables)).unwrap();
         let vehicle = VehicleState { distance: 5.0, speed: 6.0 };
         assert_eq!(fleet.snapshot.vehicles, [None, Some(vehicle)], "{variables:?}");
-        let body = Body { x: 3.0, y: 4.0, heading: 0.0, time_loss: 7.0 };
+        let body = Body { x: 3.0, y: 4.0, heading: 0.0, lane, time_loss: 7.0 };
         assert_eq!(fleet.snapshot.bodies, [None, Some(body)], "{variables:?}");
     }
 }
@@ -64,6 +73,7 @@ fn a_missing_variable_is_named() {
         (VAR_SPEED.id(), "speed"),
         (VAR_POSITION.id(), "position"),
         (VAR_ANGLE.id(), "angle"),
+        (VAR_LANE_ID.id(), "lane"),
         (VAR_TIMELOSS.id(), "time loss"),
     ];
     for (missing, name) in all {
@@ -91,10 +101,10 @@ fn a_time_that_is_no_number_is_refused() {
 }
 
 #[test]
-fn collisions_of_strangers_and_hostile_counts_are_no_collisions() {
+fn collisions_of_strangers_or_of_one_vehicle_and_hostile_counts_are_no_collisions() {
     let mut w = Writer::default();
-    w.compound(19).integer(2);
-    for pair in [["w0s1", "w0s0"], ["w0s1", "w0s2"]] {
+    w.compound(28).integer(3);
+    for pair in [["w0s1", "w0s0"], ["w0s1", "w0s2"], ["w0s1", "w0s1"]] {
         w.string(pair[0]).string(pair[1]).string("car").string("car").double(1.0).double(2.0);
         w.string("junction").string(":c_0_0").double(3.0);
     }
