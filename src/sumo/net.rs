@@ -27,7 +27,7 @@ use std::{
 };
 
 pub use classes::{CARS, Classes, PEDESTRIANS};
-pub use cut::cut;
+pub(crate) use cut::cut;
 pub use error::{NetError, Problem};
 pub(crate) use error::{did_you_mean, nearest, shorten};
 pub use path::Path;

@@ -306,7 +306,7 @@ impl<'n> Streets<'n> {
         let mut routes: Vec<Found> = Vec::new();
         for edge in incoming {
             for lane in self.net.edges[edge].lanes.clone() {
-                self.from_lane(place, edge, lane, &mut routes, &mut left_out);
+                self.routes_of(place, edge, lane, &mut routes, &mut left_out);
             }
         }
         let mut arms: Vec<usize> = routes.iter().map(|(_, edge, ..)| *edge).collect();
@@ -352,7 +352,7 @@ impl<'n> Streets<'n> {
     }
 
     /// Adds the routes over a place from one of the lanes that lead to it.
-    fn from_lane(
+    fn routes_of(
         &self,
         place: &Place,
         edge: usize,
@@ -393,7 +393,7 @@ impl<'n> Streets<'n> {
                 }
             };
             let same = |(known, ..): &Found| known.edges == route.edges && known.lane == route.lane;
-            if routes.iter().any(|found| same(found)) {
+            if routes.iter().any(same) {
                 left_out.add(
                     "ways beside one to another lane of the same road, which SUMO takes",
                     way(),

@@ -19,7 +19,11 @@ use super::{EdgeFunction, Net, NetError};
 ///
 /// # Errors
 /// As for [`Net::parse`].
-pub fn cut(text: &str, path: &FilePath, junctions: &HashSet<&str>) -> Result<String, NetError> {
+pub(crate) fn cut(
+    text: &str,
+    path: &FilePath,
+    junctions: &HashSet<&str>,
+) -> Result<String, NetError> {
     let net = Net::parse(text, path)?;
     let document = document(text, path)?;
     let root = document.root_element();
