@@ -4,7 +4,7 @@ use std::{fmt::Display, path::Path};
 
 use roxmltree::{Document, Node};
 
-use super::schema::{self, MAX_NUMBER};
+use super::schema::{self, Kind, MAX_NUMBER};
 use super::{Error, Place};
 use crate::markup;
 use crate::sumo::net::{nearest, shorten, xml};

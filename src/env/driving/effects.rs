@@ -115,7 +115,7 @@ impl Effects {
                 !map.routes[agent.route].passes_over(at(agent), other.route, at(other), lengths)
             };
             let ttc = Some(time_to_collision(agent, other)).filter(|time| contact(*time));
-            let ttc = ttc.unwrap_or(HORIZON);
+            let ttc = ttc.unwrap_or(MAX_TIME_APART);
             self.ttc = self.ttc.min(ttc);
             self.road_users[road_user].close |= ttc < CLOSE;
             let route = &map.routes[agent.route];

@@ -50,13 +50,15 @@ impl Net {
 
     /// Returns the path of the rest of a route for a vehicle on `lane` of the first of `edges`. From a
     /// lane on which the route does not go on, the path changes at the lane's end to the nearest lane
-    /// on which it does, or ends there. `None` if the path has no extent.
+    /// on which it does, or ends there. Permissions do not count, because SUMO has decided that the
+    /// vehicle is on the lane. `None` if the path has no extent.
     pub(crate) fn route_path_on(&self, edges: &[String], lane: usize) -> Option<Path> {
         let own = self.lanes[lane].index;
         let lanes = &self.edges[self.lanes[lane].edge].lanes;
         let mut others: Vec<u32> = lanes.clone().map(|lane| self.lanes[lane].index).collect();
         others.sort_by_key(|index| index.abs_diff(own));
-        let onward = others.into_iter().find_map(|index| self.route_lanes(edges, Some(index)).ok());
+        let onward =
+            others.into_iter().find_map(|index| self.route_lanes(edges, Some(index), &[]).ok());
         let mut lanes = onward.unwrap_or_else(|| vec![lane]);
         lanes[0] = lane;
         let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
