@@ -5,6 +5,7 @@ use super::Config;
 use super::presets::STEERING;
 use super::values::{Origin, Values};
 use crate::algo;
+use crate::algo::settings::Exploration;
 use crate::scenario::Scenario;
 
 impl Values {
@@ -29,7 +30,7 @@ impl Values {
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
             values.follow("init_from", |config| {
-                config.exploration.log_std_start = config.exploration.log_std_explore;
+                config.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }
         values

@@ -202,7 +202,6 @@ fn reference(
         ("hidden", config.network.hidden),
         ("message", config.iwol.message),
         ("rounds", config.iwol.rounds as i64),
-        ("heads", config.iwol.heads),
         ("latent", config.iwol.latent),
         ("epochs", config.ppo.epochs as i64),
         ("minibatch", config.ppo.minibatch as i64),
@@ -215,7 +214,6 @@ fn reference(
         network: Network { hidden: config.network.hidden, ..Network::default() },
         iwol: Iwol {
             rounds: config.iwol.rounds,
-            heads: config.iwol.heads,
             latent: config.iwol.latent,
             message: config.iwol.message,
             decoded: config.iwol.decoded,
@@ -225,7 +223,7 @@ fn reference(
     };
     ensure!(
         usual == config.settings() && config.device == ComputeDevice::Cpu,
-        "the reference supports only network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave \
+        "the reference supports only network.hidden, iwol.{{rounds,latent,message,decoded}} and the sizes of a rollout; leave \
          all other settings at their defaults"
     );
     let mut program = Program::new(python);
