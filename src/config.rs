@@ -106,9 +106,8 @@ pub struct Train {
     #[schemars(range(min = 1, max = 100_000))]
     pub rollout_steps: usize,
     /// Factor on the steps of a rollout and on the samples of a minibatch once the noise has fallen
-    /// to `exploration.log_std_explore` (after `exploration.explore_steps`). Small batches are
-    /// themselves noisy and can make the performance of a nearly successful policy collapse. 1: no
-    /// change, as always with MADDPG.
+    /// (after `exploration.explore_steps`). Small batches are themselves noisy and can make the
+    /// performance of a nearly successful policy collapse. 1: no change, as always with MADDPG.
     #[default = 1]
     #[schemars(range(min = 1, max = 64))]
     pub batch_growth: usize,
@@ -137,15 +136,11 @@ pub struct Train {
     #[default = 64]
     #[schemars(range(min = 1, max = 100_000))]
     pub validation_episodes: u64,
-    /// Share of agents that must succeed in each of the last `train.stop_validations` validations
-    /// for training to stop, once annealing is over. 0: training never stops early.
+    /// Share of agents that must succeed in each of the last four validations for training to stop,
+    /// once annealing is over. 0: training never stops early.
     #[default = 0.995]
     #[schemars(range(min = 0, max = 1))]
     pub stop_success: f64,
-    /// Number of validations that decide whether to stop (`train.stop_success`).
-    #[default = 4]
-    #[schemars(range(min = 1, max = 1000))]
-    pub stop_validations: u32,
     /// Share of agents that must succeed in validations for annealing (of noise, then of the
     /// learning rate) to proceed. Below it, annealing waits, unless the run would end before
     /// annealing is over; 0: annealing takes place only then. If the run is not good enough to stop

@@ -12,13 +12,13 @@ use tch::{Device, Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard, graph_noise, minibatches};
 use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 use super::device::act_on;
-use super::head::APPROX_KL;
 use super::means::{Means, scalar};
 use super::networks::Networks;
 use super::parameters::{
     ParameterBuilder, ParameterGroup, Weights, load_value_norm, part, value_norm_entry,
 };
-use super::settings::{GraphNoise, NoiseMode, Settings};
+use super::ppo::MAX_GRAD_NORM;
+use super::settings::{NoiseMode, Settings};
 use super::{Algorithm, Channel, ChannelNoise, Error, Losses, UpdateParameters, check_agents};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -67,7 +67,7 @@ impl<N: Networks> ActorCritic<N> {
             settings: settings.clone(),
             device,
             weights,
-            value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
+            value_norm: ValueNorm::default(),
             critic_memory: None,
         }
     }
@@ -165,7 +165,7 @@ impl<N: Networks> ActorCritic<N> {
             sums
         });
         let report = report.get_or_insert_default();
-        report.extend(self.weights.step_all(self.settings.ppo.max_grad_norm, rate)?);
+        report.extend(self.weights.step_all(MAX_GRAD_NORM, rate)?);
         Ok(std::mem::take(report))
     }
 }
@@ -237,8 +237,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph =
-                graph_noise(rollout, 1, false, scale, self.device, seed.child("graph"));
+            batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(
@@ -248,39 +247,14 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             [parameters.gamma, ppo.gae_lambda],
             N::TEAM,
         );
-        let (mut means, mut passes) = (Means::default(), 0);
+        let mut means = Means::default();
         let size = ppo.minibatch * parameters.batch_growth;
         for epoch in 0..ppo.epochs {
-            if self.settings.iwol.graph_noise == GraphNoise::Resampled {
-                let noise = |of: &str, graphs: usize| {
-                    graph_noise(
-                        rollout,
-                        graphs,
-                        N::GRAPH_LASTS,
-                        scale,
-                        self.device,
-                        seed.child(of).index(epoch as u64),
-                    )
-                };
-                if N::VALUE_SAMPLES_GRAPH {
-                    batch.value_graph = noise("resampled", 1);
-                }
-                if N::GRAPHS > 0 {
-                    batch.policy_graph = noise("resampled policy", N::GRAPHS);
-                }
-            }
             let order = seed.child("epoch").index(epoch as u64);
-            let mut pass = Means::default();
             for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order)
             {
-                let rate = |group| N::rate(group, epoch, parameters.learning_rate, &settings);
-                pass.add(&self.step(&batch, shards, rate)?);
-            }
-            passes += 1;
-            let moved = pass.mean(APPROX_KL);
-            means.merge(pass);
-            if ppo.target_kl > 0.0 && moved > ppo.target_kl {
-                break;
+                let rate = |group| N::rate(group, epoch, parameters.learning_rate);
+                means.add(&self.step(&batch, shards, rate)?);
             }
         }
         let head = self.copies[0].head();
@@ -290,7 +264,6 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             ("ppo/explained_variance", batch.explained_variance),
             ("ppo/std", head.std()),
             ("ppo/learning_rate", parameters.learning_rate),
-            ("ppo/passes", f64::from(passes)),
         ])
     }
 

@@ -186,8 +186,6 @@ pub(super) struct Shard {
     agents: i64,
     /// Share of the minibatch's active samples that belong to this shard.
     pub(super) weight: f64,
-    /// Source of what the loss draws at random.
-    pub(super) seed: Seed,
 }
 
 /// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `shards`
@@ -209,7 +207,7 @@ pub(super) fn minibatches(
     let per_batch = chunks.len().div_ceil(count).max(1);
     let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
     let shard = |chunks: &[(usize, usize)]| {
-        let (rows, (t, e)) = (rollout.rows(chunks, length), chunks[0]);
+        let rows = rollout.rows(chunks, length);
         let samples: Vec<i64> = (0..rows.len() * agents)
             .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
             .map(|i| i as i64)
@@ -221,8 +219,6 @@ pub(super) fn minibatches(
             rows: indices(&rows),
             weight: samples.len() as f64,
             samples: indices(&samples),
-            // Every shard begins with another chunk, so that its seed is unique.
-            seed: seed.child("shard").index(t as u64).index(e as u64),
         }
     };
     let minibatch = |chunks: &[(usize, usize)]| {
@@ -285,24 +281,11 @@ impl Shard {
     }
 }
 
-/// Draws logistic noise times `scale` for G graphs in each row, `[(T + 1) · E, N, G · N]`. With
-/// `lasts`, the noise of an environment is the same at each step.
-pub(super) fn graph_noise(
-    rollout: &Rollout,
-    graphs: usize,
-    lasts: bool,
-    scale: f64,
-    device: Device,
-    seed: Seed,
-) -> Tensor {
+/// Draws logistic noise times `scale` for a graph in each row, `[(T + 1) · E, N, N]`.
+pub(super) fn graph_noise(rollout: &Rollout, scale: f64, device: Device, seed: Seed) -> Tensor {
     let s = rollout.sizes;
-    let (drawn, times) = if lasts { (1, s.steps + 1) } else { (s.steps + 1, 1) };
-    let mut noise = vec![0.0; drawn * s.envs * s.agents * s.agents * graphs];
+    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
-    let noise = Tensor::from_slice(&noise).view([
-        (drawn * s.envs) as i64,
-        s.agents as i64,
-        (s.agents * graphs) as i64,
-    ]);
-    (noise.repeat([times as i64, 1, 1]) * scale).to_device(device)
+    let agents = s.agents as i64;
+    (Tensor::from_slice(&noise).view([-1, agents, agents]) * scale).to_device(device)
 }

@@ -148,13 +148,8 @@ impl Channel {
             arriving = (&noise.content * spread + mean).where_self(&false_ones, &arriving);
         }
         let own = Tensor::eye(agents, (Kind::Bool, f.device()));
-        let mut embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
+        let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
         let arrived = self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0);
-        if self.loss > 0.0 || self.delay > 0 {
-            // With masks that leak, a lost embedding must not reach the receiver through a cut
-            // edge.
-            embedding *= arrived.unsqueeze(-1);
-        }
         (Heard { embedding, arrived }, past)
     }
 

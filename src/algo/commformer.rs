@@ -11,8 +11,8 @@
 //! 3. attention: agents that are not linked have weight 0; the other weights are multiplied by the
 //!    graph, through which the scores get the gradient of their row's softmax; agents always listen
 //!    to themselves
-//! 4. bi-level optimisation: of `graph_every` passes over a rollout, the last trains the scores
-//!    alone and the others train everything else (`mat_trainer.py`)
+//! 4. bi-level optimisation: every fifth pass over a rollout trains the scores alone, and the others
+//!    train everything else (`mat_trainer.py`)
 //! 5. encoder blocks have a rectifier, decoder blocks are those of MAT; each dimension of the
 //!    action has its own ratio
 //!
@@ -20,14 +20,13 @@
 //!
 //! - Each world samples one graph per rollout, with the logistic noise of all methods with graphs,
 //!   and an update sees the graph that acted. Reference: no noise in acting and new Gumbel noise in
-//!   every update, so that ratios compare different graphs; `iwol.graph_noise = "resampled"` also
-//!   draws new noise in every pass.
+//!   every update, so that ratios compare different graphs.
 //! - There is no warm-up of ten updates with the complete graph, because noise tries all links.
 //! - Every link has weight 1. Reference: an agent's link to itself has weight 2 where it is also
 //!   chosen.
 //! - A pair is linked where its edge is above ½. Reference: edges are cut to integers, which is the
 //!   same after the warm-up, because (1 − s) + s is 1 for every 32-bit number s from 0 to 1.
-//! - There is no dropout by default, because it changes the ratio (`commformer.dropout`).
+//! - There is no dropout, because it changes the ratio. Reference: a rate of 0.1.
 //! - One action head serves all agents. Reference: one head for each agent.
 //! - Edges beyond the radio range do not exist, and an agent reads the previous agent's action only
 //!   if it listens to that agent.
@@ -49,18 +48,18 @@ use tch::{Kind, Tensor};
 
 use super::CommunicationScope;
 use super::batch::{Batch, EDGE_RATE, Shard};
-use super::critic::{ValueFunction, value_loss};
+use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
-use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::networks::{Loss, Networks};
+use super::head::GaussianHead;
+use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder, ParameterGroup};
 use super::scene::Scene;
-use super::sequence::{Input, Order, Sequence, ValueHead};
+use super::sequence::{Input, Order, Represented, Represents, Sequence, ValueHead};
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::{sample_best, with_self_loops};
-use crate::nn::{AdamConfig, Dropout, Init, Reach, RelationBlock, TransformerDecoder, ValueNorm};
+use crate::nn::{AdamConfig, Init, Reach, RelationBlock, TransformerDecoder, ValueNorm};
 
 /// Settings of CommFormer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
@@ -71,24 +70,18 @@ pub struct CommFormerSettings {
     #[default = 0.4]
     #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub sparsity: f64,
-    /// Period of graph training in passes over a rollout, 2 to `ppo.epochs`: the last pass of each
-    /// period trains the graph alone, the others train everything else.
-    #[default = 5]
-    pub graph_every: usize,
-    /// Learning rate of the graph, as a share of that of the other parameters (reference: 1e-4 and
-    /// 5e-4, a share of 0.2).
-    #[default = 0.2]
-    #[schemars(range(min = 0))]
-    pub graph_rate: f64,
     /// Weight of the loss of a world decoder on the representations, as in Ex-IWoL (paper, RQ3:
     /// 0.05); 0: no decoder.
     #[schemars(range(min = 0))]
     pub lambda_world: f64,
-    /// Dropout rate of the encoder blocks in updates (reference: 0.1). Acting has no dropout, so
-    /// that with a rate above 0 ratios compare different networks.
-    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
-    pub dropout: f64,
 }
+
+/// Period of graph training in passes over a rollout: the last pass of each period trains the graph
+/// alone, the others train everything else (`mat_trainer.py`).
+const GRAPH_EVERY: usize = 5;
+/// Learning rate of the graph, as a share of that of the other parameters (reference: 1e-4 and
+/// 5e-4).
+const GRAPH_RATE: f64 = 0.2;
 
 /// The group of the graph's scores.
 const GRAPH: ParameterGroup = ParameterGroup {
@@ -113,36 +106,23 @@ pub(super) struct CommFormer {
     world: Option<WorldDecoder>,
 }
 
-/// Result of the encoder for a scene.
-struct Represented {
-    /// Representations of the agents, `[rows, N, H]`.
-    representation: Tensor,
-    order: Order,
-    /// Communication graph, `[rows, N, N]`, row = listener.
-    graph: Tensor,
-    memory: Option<Tensor>,
-}
-
-impl CommFormer {
+impl Represents for CommFormer {
     fn represent(&self, scene: &Scene) -> Represented {
-        self.represent_with(scene, None)
-    }
-
-    /// Encodes a scene, with dropout if there is any (in updates only).
-    fn represent_with(&self, scene: &Scene, dropout: Option<&Dropout>) -> Represented {
         let (x, memory) = self.input.forward(scene);
         let scores = self.edges.unsqueeze(0);
         let scores =
             scene.noise.as_ref().map_or_else(|| scores.shallow_clone(), |noise| &scores + noise);
-        let links = sample_best(&scores, self.links, 1.0) * &scene.comm;
+        let links = sample_best(&scores, self.links) * &scene.comm;
         let graph = with_self_loops(&links);
         let reach = Reach::over(&graph, &links.gt(0.5).to_kind(Kind::Float));
-        let representation = self
-            .blocks
-            .iter()
-            .fold(x, |x, block| block.forward(&x, &reach, &self.relations, dropout));
+        let representation =
+            self.blocks.iter().fold(x, |x, block| block.forward(&x, &reach, &self.relations));
         let order = Order::new(&scene.present(), &graph, &reach);
         Represented { representation, order, graph, memory }
+    }
+
+    fn value_head(&self) -> &ValueHead {
+        &self.value
     }
 }
 
@@ -158,19 +138,13 @@ impl Networks for CommFormer {
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (hidden, actions, agents) =
             (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
-        let (count, heads) = (settings.transformer.blocks, settings.transformer.heads);
+        let count = settings.transformer.blocks;
         let relations = builder.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
-        let block = |i| RelationBlock::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, heads);
+        let block = |i| RelationBlock::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, HEADS);
         let blocks = (0..count).map(block).collect();
-        let related = Some(&relations);
-        let decoder = TransformerDecoder::new(
-            builder.of(ACTOR).sub("decoder"),
-            actions,
-            hidden,
-            count,
-            heads,
-            related,
-        );
+        let (mut path, related) = (builder.of(ACTOR), Some(&relations));
+        let path = path.sub("decoder");
+        let decoder = TransformerDecoder::new(path, actions, hidden, count, HEADS, related);
         let lambda = settings.commformer.lambda_world;
         Self {
             edges: builder.of(GRAPH).create("edges", &[agents, agents], Init::Constant(1.0)),
@@ -179,24 +153,15 @@ impl Networks for CommFormer {
             input: Input::new(builder.of(ACTOR), spec, settings),
             blocks,
             value: ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden),
-            sequence: Sequence {
-                decoder,
-                head: GaussianHead::of_actor(builder, hidden, spec, settings),
-                actions,
-            },
+            sequence: Sequence::new(decoder, builder, spec, settings),
             world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
         }
     }
 
-    fn rate(
-        group: ParameterGroup,
-        epoch: usize,
-        learning_rate: f64,
-        settings: &Settings,
-    ) -> Option<f64> {
-        let trains_graph = (epoch + 1).is_multiple_of(settings.commformer.graph_every);
+    fn rate(group: ParameterGroup, epoch: usize, learning_rate: f64) -> Option<f64> {
+        let trains_graph = (epoch + 1).is_multiple_of(GRAPH_EVERY);
         if group == GRAPH {
-            trains_graph.then_some(learning_rate * settings.commformer.graph_rate)
+            trains_graph.then_some(learning_rate * GRAPH_RATE)
         } else {
             (!trains_graph).then_some(learning_rate)
         }
@@ -215,10 +180,7 @@ impl Networks for CommFormer {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let Represented { representation, order, memory, .. } =
-            self.represent(&Scene::of(input, mode.graph_noise()));
-        let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        Decision { action, log_prob, memory: input.memory_after(memory) }
+        self.sequence.act(input, self.represent(&Scene::of(input, mode.graph_noise())), mode)
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
@@ -227,51 +189,20 @@ impl Networks for CommFormer {
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let rate = settings.commformer.dropout;
-        let dropout = (rate > 0.0).then(|| Dropout::new(rate, shard.seed.rng()));
-        let Represented { representation, order, graph, .. } =
-            self.represent_with(&scene, dropout.as_ref());
-        let edges = shard.edge_rate(&graph, &scene.comm);
-        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
-        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
-        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy = PolicyTerms::new(
-            batch,
-            shard,
-            self.head(),
-            &shard.pick(&read),
-            &settings.ppo,
-            Ratio::PerDimension,
-        );
-        let world = |world: &WorldDecoder| world.loss(batch, shard, &shard.pick(&representation));
+        let known = self.represent(&scene);
+        let edges = shard.edge_rate(&known.graph, &scene.comm);
+        let (policy, value) =
+            self.sequence.losses(batch, shard, &known, &self.value, settings, norm);
+        let world =
+            |world: &WorldDecoder| world.loss(batch, shard, &shard.pick(&known.representation));
         Loss::new(&policy.loss + &value, &value, [(EDGE_RATE, &edges)], &policy)
             .with_world(settings.commformer.lambda_world, self.world.as_ref().map(world))
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let reconstruct = |world: &WorldDecoder| {
-            world.reconstruct(&self.represent(&Scene::of(input, None)).representation, input, state)
+            world.reconstruct(&self.represent(&Scene::of(input, None)).representation, state)
         };
         self.world.as_ref().map(reconstruct).into_iter().collect()
-    }
-}
-
-impl ValueFunction for CommFormer {
-    fn memory(&self) -> i64 {
-        0
-    }
-
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        Some(self.value.forward(&self.represent(&Scene::of(input, None)).representation, state))
-    }
-
-    fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        // The rollout holds the policy's memory before each row, so that every row is a sequence of
-        // its own.
-        let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
-        let value = |scene: &Scene, state: &Tensor| {
-            self.value.forward(&self.represent(scene).representation, state)
-        };
-        (rows.in_parts(&batch.state, value), None)
     }
 }

@@ -7,7 +7,7 @@ use super::batch::{Batch, Shard};
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_active, encode_rows};
 use super::ppo;
-use super::settings::{Network, Ppo};
+use super::settings::Network;
 use crate::env::{EnvSpec, Features};
 use crate::nn::{Init, Linear, Path, ValueNorm};
 
@@ -108,15 +108,7 @@ pub(super) fn value_loss(
     shard: &Shard,
     values: &Tensor,
     norm: &ValueNorm,
-    ppo: &Ppo,
 ) -> Tensor {
     let target = norm.normalize(&shard.active(&batch.returns));
-    ppo::value_loss(
-        values,
-        &shard.active(&batch.value),
-        &target,
-        &target.ones_like(),
-        ppo.clip_range,
-        ppo.huber_delta,
-    )
+    ppo::value_loss(values, &shard.active(&batch.value), &target, &target.ones_like())
 }

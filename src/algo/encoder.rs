@@ -7,6 +7,7 @@ use tch::Tensor;
 
 use super::batch::Shard;
 use super::decision::Observation;
+use super::networks::HEADS;
 use crate::env::Features;
 use crate::nn::{Entity, Gru, LayerNorm, Mlp, Path, TokenGroup};
 
@@ -20,26 +21,16 @@ pub struct Network {
     pub encoder: EncoderKind,
     /// Width H of embeddings and of policy and value layers.
     #[default = 128]
-    #[schemars(range(min = 2, max = 4096), extend("multipleOf" = 2))]
+    #[schemars(range(min = 4, max = 4096), extend("multipleOf" = HEADS))]
     pub hidden: i64,
-    /// Number of layers after the first one in the encoder's perceptron.
-    #[default = 1]
-    #[schemars(range(max = 16))]
-    pub extra_layers: usize,
-    /// Width of an entity token (encoder `attention`).
-    #[default = 32]
-    #[schemars(range(min = 1, max = 1024))]
-    pub token_width: i64,
-    /// Number of heads of the entity attention (encoder `attention`); a divisor of
-    /// `network.token_width`.
-    #[default = 1]
-    #[schemars(range(min = 1))]
-    pub token_heads: i64,
     /// Steps per sequence in the update of a recurrent encoder (`gru`), at most
     /// `train.rollout_steps`.
     #[default = 8]
     pub chunk_length: usize,
 }
+
+/// Width of an entity token of the attention encoder (the paper names none).
+const TOKEN_WIDTH: i64 = 32;
 
 /// The kind of observation encoder.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -72,11 +63,9 @@ impl Encoder {
     pub fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
         let (inputs, hidden) = (features.len() as i64, network.hidden);
         let kind = match network.encoder {
-            EncoderKind::Mlp => {
-                Kind::Mlp(Mlp::new(path.sub("mlp"), inputs, hidden, network.extra_layers))
-            }
+            EncoderKind::Mlp => Kind::Mlp(Mlp::new(path.sub("mlp"), inputs, hidden)),
             EncoderKind::Gru => Kind::Gru {
-                base: Mlp::new(path.sub("mlp"), inputs, hidden, network.extra_layers),
+                base: Mlp::new(path.sub("mlp"), inputs, hidden),
                 cell: Gru::new(path.sub("gru"), hidden, hidden),
                 norm: LayerNorm::new(path.sub("norm"), hidden),
             },
@@ -94,8 +83,8 @@ impl Encoder {
                 Kind::Attention(Box::new(Entity::new(
                     path.sub("entity"),
                     &groups,
-                    network.token_width,
-                    network.token_heads,
+                    TOKEN_WIDTH,
+                    1,
                     hidden,
                 )))
             }

@@ -114,7 +114,7 @@ impl Networks for ExIwol {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, ..) = self.critic.shard(batch, shard);
-        let value = value_loss(batch, shard, &values, norm, ppo);
+        let value = value_loss(batch, shard, &values, norm);
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene);
@@ -133,6 +133,6 @@ impl Networks for ExIwol {
             return Vec::new();
         }
         let messages = self.exchange(input, None);
-        vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), input, state)]
+        vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), state)]
     }
 }

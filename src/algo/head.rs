@@ -8,7 +8,7 @@ use tch::{Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard};
 use super::decision::ActMode;
 use super::parameters::{ACTOR, ParameterBuilder};
-use super::ppo::{self, Ppo};
+use super::ppo::{self, CLIP_RANGE, Ppo};
 use super::settings::Settings;
 use crate::env::{ActionDimension, EnvSpec};
 use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
@@ -22,23 +22,18 @@ pub struct Exploration {
     #[default(NoiseMode::Schedule)]
     pub mode: NoiseMode,
     /// Logarithm of the standard deviation at the beginning (initial value of the parameter where
-    /// it is learned); by default that of `exploration.log_std_explore` with `init_from`. An
-    /// imposed standard deviation also scales the noise of sampled communication graphs, except
-    /// that of Im-IWoL, whose graph only the value function has.
+    /// it is learned); by default -1 with `init_from`. An imposed standard deviation also scales
+    /// the noise of sampled communication graphs, except that of Im-IWoL, whose graph only the
+    /// value function has.
     #[schemars(range(min = -20, max = 5))]
     pub log_std_start: f64,
-    /// Logarithm of the standard deviation after `exploration.explore_steps`, kept until annealing
-    /// begins. A value that is too low freezes a run that has not succeeded by then.
-    #[default(-1.0)]
-    #[schemars(range(min = -20, max = 5))]
-    pub log_std_explore: f64,
     /// Logarithm of the standard deviation when annealing is over.
     #[default(-2.0)]
     #[schemars(range(min = -20, max = 5))]
     pub log_std_end: f64,
     /// Environment steps over which the logarithm of the standard deviation falls linearly from
-    /// `exploration.log_std_start` to `exploration.log_std_explore`; by default × 8/N below 8
-    /// agents.
+    /// `exploration.log_std_start` to -1, which is kept until annealing begins; by default × 8/N
+    /// below 8 agents.
     #[default = 250_000]
     #[schemars(range(max = 1_u64 << 50))]
     pub explore_steps: u64,
@@ -51,6 +46,12 @@ pub struct Exploration {
     pub correlation: f64,
 }
 
+impl Exploration {
+    /// Logarithm of the standard deviation after [`Exploration::explore_steps`]. A lower value
+    /// freezes a run that has not succeeded by then.
+    pub const LOG_STD_EXPLORED: f64 = -1.0;
+}
+
 /// The source of the actions' standard deviation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
@@ -60,10 +61,6 @@ pub enum NoiseMode {
     /// The standard deviation is a parameter and is learned (released code).
     Learned,
 }
-
-/// Name of a diagnostic: the distance of the policy from the policy that acted, as the mean of
-/// `(ρ - 1) - ln ρ`.
-pub(super) const APPROX_KL: &str = "ppo/approx_kl";
 
 /// A policy head that gives mean and standard deviation of the actions.
 #[derive(Debug)]
@@ -185,6 +182,7 @@ pub(super) struct PolicyTerms {
     pub(super) loss: Tensor,
     policy: Tensor,
     entropy: Tensor,
+    /// Distance of the policy from the policy that acted, as the mean of `(ρ - 1) - ln ρ`.
     approx_kl: Tensor,
     clip_fraction: Tensor,
 }
@@ -213,12 +211,11 @@ impl PolicyTerms {
         };
         let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
         let advantage = shard.active(&batch.advantage);
-        let policy =
-            ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like(), ppo.clip_range);
+        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like());
         let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
         let (approx_kl, clip_fraction) = no_grad(|| {
             let difference = &log_prob - &old;
-            let outside = (difference.exp() - 1.0).abs().gt(ppo.clip_range).to_kind(Kind::Float);
+            let outside = (difference.exp() - 1.0).abs().gt(CLIP_RANGE).to_kind(Kind::Float);
             let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
             ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
         });
@@ -232,7 +229,7 @@ impl PolicyTerms {
         [
             ("loss/policy", self.policy.detach()),
             ("loss/entropy", self.entropy.detach()),
-            (APPROX_KL, self.approx_kl.shallow_clone()),
+            ("ppo/approx_kl", self.approx_kl.shallow_clone()),
             ("ppo/clip_fraction", self.clip_fraction.shallow_clone()),
         ]
     }

@@ -36,7 +36,7 @@ use super::CommunicationScope;
 use super::batch::{Batch, Shard};
 use super::critic::{Critic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation};
-use super::decoder::LatentDecoder;
+use super::decoder::{LatentDecoder, mean_squared_error};
 use super::encoder::{Encoder, encode_rows, encode_shard};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::networks::{Loss, Networks};
@@ -55,11 +55,11 @@ pub struct IcpSettings {
     #[default = 16]
     #[schemars(range(min = 2, max = 4096))]
     pub symbols: i64,
-    /// Weight of the loss of the decoder, which predicts from a symbol what its sender saw and did.
-    #[default = 0.05]
-    #[schemars(range(min = 0))]
-    pub lambda_message: f64,
 }
+
+/// Weight of the loss of the decoder, which predicts from a symbol what its sender saw and did: that
+/// of IWoL's decoders (the adaptation names none).
+const LAMBDA_MESSAGE: f64 = 0.05;
 
 /// How the agents' values form the value that is trained.
 pub(super) trait Decomposition: Send + 'static {
@@ -113,7 +113,7 @@ impl<D: Decomposition> Icp<D> {
     /// Returns the symbols `[.., K]` that embeddings `[.., H]` show: 0 or 1, with the gradient of
     /// the softmax.
     fn show(&self, f: &Tensor) -> Tensor {
-        sample_best(&self.symbol.forward(f), 1, 1.0)
+        sample_best(&self.symbol.forward(f), 1)
     }
 
     /// Returns what agents read besides their observation, `[rows, N, H + A]`.
@@ -191,13 +191,7 @@ impl<D: Decomposition> Networks for Icp<D> {
                 symbols,
                 Init::Orthogonal(1.0),
             ),
-            decoder: LatentDecoder::new(
-                builder.of(ACTOR).sub("decoder"),
-                symbols,
-                hidden,
-                decoded,
-                false,
-            ),
+            decoder: LatentDecoder::new(builder.of(ACTOR).sub("decoder"), symbols, hidden, decoded),
             critic: Critic::new(builder.of(CRITIC), &spec.observation, network),
             mixer: D::MIXED.then(|| mixer(builder)),
             symbols,
@@ -235,7 +229,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         let (values, _) =
             self.critic.values(&shard.take(&batch.observation), &keep, shard.length, &first);
         let values = shard.pick(&self.decomposed(values, &shard.take(&batch.state), &comm));
-        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
+        let value = value_loss(batch, shard, &values, norm);
 
         let heard = self.heard(&shard.take(&batch.memory), &keep, &comm);
         let x = Tensor::cat(&[shard.take(&batch.observation), heard], -1);
@@ -244,9 +238,9 @@ impl<D: Decomposition> Networks for Icp<D> {
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         // Other agents see the executed action, which is clipped to its bounds.
         let target = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
-        let message = (self.decoder.forward(&self.show(&f)) - target).square().mean(Kind::Float);
+        let message = mean_squared_error(&self.decoder.forward(&self.show(&f)), &target);
 
-        let total = &policy.loss + &value + settings.icp.lambda_message * &message;
+        let total = &policy.loss + &value + LAMBDA_MESSAGE * &message;
         Loss::new(total, &value, [("loss/message", &message)], &policy)
     }
 }

@@ -9,18 +9,20 @@
 //! - deployed policy: encoder, Enc_IW and head, without a message path
 //!
 //! Differences on purpose: edges beyond the radio range do not exist, and closed edges carry nothing
-//! (released code: neither); the decoders learn from a part of the samples (`iwol.decoded`). The
-//! settings [`Iwol`](super::settings::Iwol) name the released code's alternatives.
+//! (released code: neither); the noise of graphs is stored with the rollout (released code: new
+//! noise in each epoch); the world decoder predicts the privileged state, and the interaction
+//! decoder is linear (released code: the observation, and a tanh); the decoders learn from a part of
+//! the samples (`iwol.decoded`). The policy reads [z; f], as in the released code (Algorithm 1 of
+//! the paper: z alone).
 
 use tch::Tensor;
 
 use super::batch::{Batch, EDGE_RATE, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
-use super::decoder::{LatentDecoder, WorldDecoder};
+use super::decoder::{LatentDecoder, WorldDecoder, mean_squared_error};
 use super::encoder::{Encoder, encode_active, encode_locally};
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::iwol::PolicyInput;
 use super::message::MessageCritic;
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
@@ -42,7 +44,6 @@ pub(super) struct LatentPolicy {
     pub(super) head: GaussianHead,
     pub(super) world: WorldDecoder,
     pub(super) interaction: LatentDecoder,
-    input: PolicyInput,
     /// Whether the world decoder and the interaction decoder are trained.
     trained: [bool; 2],
 }
@@ -76,24 +77,17 @@ impl LatentPolicy {
                 iwol.latent,
             ),
         };
-        let inputs = if iwol.policy_input == PolicyInput::Latent {
-            iwol.latent
-        } else {
-            iwol.latent + hidden
-        };
         Self {
             encoder,
             latent,
-            head: GaussianHead::of_actor(builder, inputs, spec, settings),
+            head: GaussianHead::of_actor(builder, iwol.latent + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: LatentDecoder::new(
                 builder.of(ACTOR).sub("interaction"),
                 iwol.latent,
                 hidden,
                 iwol.message,
-                iwol.interaction_tanh,
             ),
-            input: iwol.policy_input,
             trained: [iwol.lambda_world > 0.0, iwol.lambda_interaction > 0.0],
         }
     }
@@ -106,10 +100,7 @@ impl LatentPolicy {
     /// Returns the latent z and the input of the policy head.
     pub(super) fn read(&self, f: &Tensor) -> (Tensor, Tensor) {
         let z = self.latent.forward(f);
-        let input = match self.input {
-            PolicyInput::Latent => z.shallow_clone(),
-            PolicyInput::LatentEmbedding => Tensor::cat(&[&z, f], -1),
-        };
+        let input = Tensor::cat(&[&z, f], -1);
         (z, input)
     }
 
@@ -118,12 +109,11 @@ impl LatentPolicy {
     pub(super) fn reconstruct(
         &self,
         z: &Tensor,
-        input: &Observation,
         state: &Tensor,
         messages: Option<Tensor>,
     ) -> Vec<Reconstruction> {
         let [world, interaction] = self.trained;
-        let world = world.then(|| self.world.reconstruct(z, input, state));
+        let world = world.then(|| self.world.reconstruct(z, state));
         let interaction = messages.filter(|_| interaction).map(|target| {
             let prediction = self.interaction.forward(z);
             Reconstruction { name: "interaction", prediction, target }
@@ -172,7 +162,7 @@ impl Networks for ImIwol {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
         let (values, messages, edges) = self.critic.shard(batch, shard);
-        let value = value_loss(batch, shard, &values, norm, ppo);
+        let value = value_loss(batch, shard, &values, norm);
 
         let f = encode_active(
             &self.policy.encoder,
@@ -185,7 +175,8 @@ impl Networks for ImIwol {
         let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let world = self.policy.world.loss(batch, shard, &z);
-        let interaction = self.policy.interaction.loss(&some(&z), &some(&messages.detach()));
+        let told = self.policy.interaction.forward(&some(&z));
+        let interaction = mean_squared_error(&told, &some(&messages.detach()));
 
         let actor =
             &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
@@ -195,6 +186,6 @@ impl Networks for ImIwol {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let z = self.policy.latent.forward(&encode_locally(&self.policy.encoder, input).0);
-        self.policy.reconstruct(&z, input, state, self.critic.messages(input))
+        self.policy.reconstruct(&z, state, self.critic.messages(input))
     }
 }

@@ -40,7 +40,7 @@ use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::networks::{Loss, Networks};
+use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
@@ -57,9 +57,6 @@ pub struct MagicSettings {
     #[schemars(range(min = 0))]
     pub lambda_world: f64,
 }
-
-/// Attention heads of the first round.
-const HEADS: i64 = 4;
 
 /// The networks of MAGIC (multi-agent graph-attention communication).
 pub(super) struct Magic {
@@ -94,9 +91,7 @@ impl Magic {
     }
 
     fn exchange(&self, scene: &Scene) -> Messages {
-        let (rows, agents) = scene.size();
-        let packing =
-            if scene.pack { Packing::of(&scene.present()) } else { Packing::full(rows, agents) };
+        let packing = scene.packing();
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
         let (message, [first, second]) =
             self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
@@ -115,7 +110,7 @@ impl Networks for Magic {
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, hidden) = (&settings.network, settings.network.hidden);
         // Four heads, each with a quarter of the width.
-        let width = (hidden / HEADS).max(1);
+        let width = hidden / HEADS;
         let lambda = settings.magic.lambda_world;
         Self {
             encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
@@ -194,7 +189,7 @@ impl Networks for Magic {
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.exchange(&scene);
         let edges = shard.edge_rate(&messages.graph, &scene.comm);
@@ -211,7 +206,7 @@ impl Networks for Magic {
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let reconstruct = |world: &WorldDecoder| {
             let messages = self.exchange(&Scene::of(input, None));
-            world.reconstruct(&messages.packing.unpack(&messages.message), input, state)
+            world.reconstruct(&messages.packing.unpack(&messages.message), state)
         };
         self.world.as_ref().map(reconstruct).into_iter().collect()
     }

@@ -64,7 +64,7 @@ impl Networks for Mappo {
         let f =
             encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
-        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm, &settings.ppo);
+        let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         Loss::new(&policy.loss + &value, &value, [], &policy)
     }
 }

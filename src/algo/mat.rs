@@ -27,13 +27,13 @@ use tch::Tensor;
 
 use super::CommunicationScope;
 use super::batch::{Batch, Shard};
-use super::critic::{ValueFunction, value_loss};
+use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation};
-use super::head::{GaussianHead, PolicyTerms, Ratio};
-use super::networks::{Loss, Networks};
+use super::head::GaussianHead;
+use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder};
 use super::scene::Scene;
-use super::sequence::{Input, Order, Sequence, ValueHead};
+use super::sequence::{Input, Order, Represented, Represents, Sequence, ValueHead};
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
@@ -48,10 +48,8 @@ pub(super) struct Mat {
     sequence: Sequence,
 }
 
-impl Mat {
-    /// Returns the representations of all agents, `[rows, N, H]`, the order in which agents decide,
-    /// and the memory after the last step.
-    fn represent(&self, scene: &Scene) -> (Tensor, Order, Option<Tensor>) {
+impl Represents for Mat {
+    fn represent(&self, scene: &Scene) -> Represented {
         let (rows, agents) = scene.size();
         let (x, memory) = self.input.forward(scene);
         let present = scene.present();
@@ -60,7 +58,12 @@ impl Mat {
         let forward =
             |x: Tensor, block: &Block| block.forward(&x, &packing, Mask::Add(reach.bias()));
         let x = self.blocks.iter().fold(x.flatten(0, 1), forward);
-        (packing.unpack(&x), Order::new(&present, &seen, &reach), memory)
+        let order = Order::new(&present, &seen, &reach);
+        Represented { representation: packing.unpack(&x), order, graph: seen, memory }
+    }
+
+    fn value_head(&self) -> &ValueHead {
+        &self.value
     }
 }
 
@@ -71,28 +74,16 @@ impl Networks for Mat {
     const TRAINING_ONLY: &'static [&'static str] = &["value."];
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
-        let (hidden, actions, transformer) =
-            (settings.network.hidden, spec.actions.len() as i64, &settings.transformer);
-        let (count, heads) = (transformer.blocks, transformer.heads);
-        let block = |i| Block::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, heads);
+        let (hidden, count) = (settings.network.hidden, settings.transformer.blocks);
+        let block = |i| Block::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, HEADS);
         let blocks = (0..count).map(block).collect();
-        Self {
-            input: Input::new(builder.of(ACTOR), spec, settings),
-            blocks,
-            value: ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden),
-            sequence: Sequence {
-                decoder: TransformerDecoder::new(
-                    builder.of(ACTOR).sub("decoder"),
-                    actions,
-                    hidden,
-                    count,
-                    heads,
-                    None,
-                ),
-                head: GaussianHead::of_actor(builder, hidden, spec, settings),
-                actions,
-            },
-        }
+        let input = Input::new(builder.of(ACTOR), spec, settings);
+        let value = ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden);
+        let (mut path, actions) = (builder.of(ACTOR), spec.actions.len() as i64);
+        let path = path.sub("decoder");
+        let decoder = TransformerDecoder::new(path, actions, hidden, count, HEADS, None);
+        let sequence = Sequence::new(decoder, builder, spec, settings);
+        Self { input, blocks, value, sequence }
     }
 
     fn head(&self) -> &GaussianHead {
@@ -108,45 +99,14 @@ impl Networks for Mat {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let (representation, order, memory) = self.represent(&Scene::of(input, None));
-        let (action, log_prob) = self.sequence.act(&representation, &order, mode);
-        Decision { action, log_prob, memory: input.memory_after(memory) }
+        self.sequence.act(input, self.represent(&Scene::of(input, None)), mode)
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let (representation, order, _) = self.represent(&scene);
-        let values = shard.pick(&self.value.forward(&representation, &shard.take(&batch.state)));
-        let value = value_loss(batch, shard, &values, norm, &settings.ppo);
-        let read = self.sequence.of_actions(&representation, &shard.take(&batch.action), &order);
-        let policy = PolicyTerms::new(
-            batch,
-            shard,
-            self.head(),
-            &shard.pick(&read),
-            &settings.ppo,
-            Ratio::PerDimension,
-        );
+        let known = self.represent(&scene);
+        let (policy, value) =
+            self.sequence.losses(batch, shard, &known, &self.value, settings, norm);
         Loss::new(&policy.loss + &value, &value, [], &policy)
-    }
-}
-
-impl ValueFunction for Mat {
-    fn memory(&self) -> i64 {
-        0
-    }
-
-    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        Some(self.value.forward(&self.represent(&Scene::of(input, None)).0, state))
-    }
-
-    fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
-        // The rollout holds the policy's memory before each row, so that every row is a sequence of
-        // its own.
-        let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
-        let values = rows.in_parts(&batch.state, |scene, state| {
-            self.value.forward(&self.represent(scene).0, state)
-        });
-        (values, None)
     }
 }

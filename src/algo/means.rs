@@ -22,24 +22,6 @@ impl Means {
         self.count += 1.0;
     }
 
-    /// Adds the sums of other gradient steps, which have the same diagnostics.
-    pub(super) fn merge(&mut self, other: Self) {
-        if self.sums.is_empty() {
-            *self = other;
-            return;
-        }
-        for (sum, other) in self.sums.iter_mut().zip(&other.sums) {
-            sum.1 += other.1;
-        }
-        self.count += other.count;
-    }
-
-    /// Returns the mean of one diagnostic so far; 0 where there is none of this name.
-    pub(super) fn mean(&self, name: &str) -> f64 {
-        let sum = self.sums.iter().find(|(found, _)| *found == name).map_or(0.0, |(_, sum)| *sum);
-        sum / self.count.max(1.0)
-    }
-
     /// Returns the means and the `extra` diagnostics.
     ///
     /// # Errors

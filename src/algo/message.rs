@@ -9,10 +9,11 @@ use super::channel::{Channel, ChannelNoise, exchange, of_everyone, of_receivers}
 use super::critic::ValueFunction;
 use super::decision::Observation;
 use super::encoder::Encoder;
+use super::networks::HEADS;
 use super::scene::{Messages, Scene};
 use super::settings::{Iwol, Network};
 use crate::env::Features;
-use crate::nn::{CommGraph, GraphTransformer, Init, Linear, MaskMode, Packing, Path};
+use crate::nn::{CommGraph, GraphTransformer, Init, Linear, Packing, Path};
 
 /// The message path: from the observations of all agents to embeddings f and messages m.
 #[derive(Debug)]
@@ -21,9 +22,6 @@ pub(super) struct MessageTrunk {
     graph: CommGraph,
     transformer: GraphTransformer,
     hidden: i64,
-    physical_mask: bool,
-    /// Whether agents that are absent or cut off still influence others, as in the released code.
-    leaks: bool,
 }
 
 impl MessageTrunk {
@@ -35,22 +33,12 @@ impl MessageTrunk {
     ) -> Self {
         let (hidden, message) = (network.hidden, iwol.message);
         let transformer = path.sub("transformer");
-        let transformer =
-            GraphTransformer::new(transformer, hidden, message, iwol.rounds, iwol.heads, iwol.mask);
+        let transformer = GraphTransformer::new(transformer, hidden, message, iwol.rounds, HEADS);
         Self {
             encoder: Encoder::new(path.sub("encoder"), features, network),
-            graph: CommGraph::new(
-                path.sub("graph"),
-                hidden,
-                message,
-                iwol.slope,
-                iwol.graph_bias,
-                iwol.temperature,
-            ),
+            graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.graph_bias),
             transformer,
             hidden,
-            physical_mask: iwol.physical_mask,
-            leaks: !iwol.physical_mask || iwol.mask != MaskMode::Hard,
         }
     }
 
@@ -74,7 +62,7 @@ impl MessageTrunk {
     ) -> (Tensor, Tensor, Tensor) {
         // With one round, no agent passes on what it heard.
         let one = self.transformer.rounds() == 1;
-        if one && channel.only_loses() && !self.leaks {
+        if one && channel.only_loses() {
             // A channel that only loses messages is a mask on the graph that all agents share.
             let scene = Scene::of(input, None);
             let heard =
@@ -90,18 +78,14 @@ impl MessageTrunk {
             if one {
                 let own =
                     Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
-                let comm = input.comm.reshape([rows, 1, agents]);
-                let edges =
-                    if self.physical_mask { comm * arrived } else { arrived.shallow_clone() };
+                let edges = input.comm.reshape([rows, 1, agents]) * arrived;
                 return self.transformer.forward_one(
                     known,
                     &own,
                     &self.graph.forward_one(known, &own, &edges),
                 );
             }
-            let all_arrived = || arrived.expand([-1, agents, -1], false);
-            let edges =
-                if self.physical_mask { of_everyone(&input.comm, arrived) } else { all_arrived() };
+            let edges = of_everyone(&input.comm, arrived);
             let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
             let graph = self.graph.forward(&all, &packing, &edges, None);
             of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))
@@ -110,19 +94,11 @@ impl MessageTrunk {
 
     /// Computes the message path where every message arrives as it was sent.
     pub(super) fn forward(&self, scene: &Scene) -> Messages {
-        let (rows, agents) = scene.size();
-        // Where cut edges leak, absent agents influence the others as well.
-        let packing = if scene.pack && !self.leaks {
-            Packing::of(&scene.present())
-        } else {
-            Packing::full(rows, agents)
-        };
-        let (embedding, memories) = scene.embed_packed(&self.encoder, &packing);
-        let allowed =
-            if self.physical_mask { scene.comm.shallow_clone() } else { scene.comm.ones_like() };
-        let graph = self.graph.forward(&embedding, &packing, &allowed, scene.noise.as_ref());
+        let packing = scene.packing();
+        let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
+        let graph = self.graph.forward(&embedding, &packing, &scene.comm, scene.noise.as_ref());
         let message = self.transformer.forward(&embedding, &packing, &graph);
-        Messages { message, embedding, graph, packing, memory: memories }
+        Messages { message, embedding, graph, packing, memory }
     }
 }
 

@@ -14,6 +14,10 @@ use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 
+/// Number of attention heads of MAGIC's first round and of all transformers (paper, table of
+/// hyperparameters; the scripts of MAT and CommFormer have 1).
+pub(super) const HEADS: i64 = 4;
+
 /// The networks of one algorithm: their actions, their values, and their loss on a shard.
 pub(super) trait Networks: Sized + Send {
     /// Name of the algorithm, as on the command line.
@@ -48,12 +52,7 @@ pub(super) trait Networks: Sized + Send {
 
     /// Returns the learning rate of a parameter group in pass `epoch` over the rollout; `None`
     /// where that pass does not train the group.
-    fn rate(
-        _group: ParameterGroup,
-        _epoch: usize,
-        learning_rate: f64,
-        _settings: &Settings,
-    ) -> Option<f64> {
+    fn rate(_group: ParameterGroup, _epoch: usize, learning_rate: f64) -> Option<f64> {
         Some(learning_rate)
     }
 

@@ -6,9 +6,15 @@ use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
+/// Clip range ε of the ratio and of the value (paper, table of hyperparameters).
+pub(super) const CLIP_RANGE: f64 = 0.2;
+/// Error of the normalised value at which the Huber loss becomes linear (same table).
+const HUBER_DELTA: f64 = 10.0;
+/// Largest gradient norm, of policy and value function separately (same table).
+pub(super) const MAX_GRAD_NORM: f64 = 10.0;
+
 /// Proximal policy optimisation. MADDPG, which learns from a replay buffer, reads neither
-/// `bounds`, `clip_range`, `entropy_coefficient`, `epochs`, `gae_lambda`, `huber_delta`, `shards`
-/// nor `target_kl`.
+/// `bounds`, `entropy_coefficient`, `epochs`, `gae_lambda` nor `shards`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -26,16 +32,11 @@ pub struct Ppo {
     #[default = 0.02]
     #[schemars(range(min = 0, max = 1))]
     pub learning_rate_end: f64,
-    /// Largest number of passes over a rollout
-    /// (docs/lab/0.1.0.md#five-passes-over-a-rollout).
+    /// Number of passes over a rollout (docs/lab/0.1.0.md#five-passes-over-a-rollout). CommFormer:
+    /// at least 5, because every fifth pass trains the graph.
     #[default = 5]
     #[schemars(range(min = 1, max = 1000))]
     pub epochs: usize,
-    /// Limit of a pass's mean approximate KL divergence from the policy that acted: a pass above
-    /// the limit is the last one over its rollout; 0: no limit. It serves policies whose steps are
-    /// too large at the common learning rate. CommFormer: 0.
-    #[schemars(range(min = 0))]
-    pub target_kl: f64,
     /// Samples (agent × step) per minibatch; by default half as many for off-policy methods.
     /// Smaller minibatches give more gradient steps.
     #[default = 2048]
@@ -68,10 +69,6 @@ pub struct Ppo {
     #[default = 0.95]
     #[schemars(range(min = 0, max = 1))]
     pub gae_lambda: f64,
-    /// Clip range ε of the ratio and of the value.
-    #[default = 0.2]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub clip_range: f64,
     /// Weight of the penalty on mean actions beyond -1 to 1, where actions are clipped: half the
     /// squared excess, in units of the noise's standard deviation; 0: no penalty. Beyond the bounds
     /// noise changes no action, so that the policy learns nothing from it
@@ -79,20 +76,8 @@ pub struct Ppo {
     #[default = 0.1]
     #[schemars(range(min = 0))]
     pub bounds: f64,
-    /// Error of the normalised value at which the Huber loss becomes linear.
-    #[default = 10.0]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub huber_delta: f64,
     /// Weight of the entropy bonus; of use where the noise is learned.
     pub entropy_coefficient: f64,
-    /// Largest gradient norm, of policy and value function separately.
-    #[default = 10.0]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub max_grad_norm: f64,
-    /// Decay of the running statistics that normalise values.
-    #[default = 0.99999]
-    #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
-    pub value_norm_beta: f64,
 }
 
 /// Returns the clipped surrogate loss −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active.
@@ -103,27 +88,18 @@ pub fn policy_loss(
     old_log_prob: &Tensor,
     advantage: &Tensor,
     active: &Tensor,
-    clip: f64,
 ) -> Tensor {
     let (ratio, advantage) = ((log_prob - old_log_prob).exp(), advantage.unsqueeze(-1));
-    let surrogate =
-        (&ratio * &advantage).minimum(&(ratio.clamp(1.0 - clip, 1.0 + clip) * &advantage));
+    let clipped = ratio.clamp(1.0 - CLIP_RANGE, 1.0 + CLIP_RANGE);
+    let surrogate = (&ratio * &advantage).minimum(&(clipped * &advantage));
     -masked_mean(&surrogate.sum_dim_intlist(-1, false, Kind::Float), active)
 }
 
 /// Returns the clipped Huber loss of normalised values: per sample, the larger one of the plain and
 /// the clipped loss. All tensors are `[B]`.
-pub fn value_loss(
-    value: &Tensor,
-    old_value: &Tensor,
-    target: &Tensor,
-    active: &Tensor,
-    clip: f64,
-    huber_delta: f64,
-) -> Tensor {
-    let clipped = old_value + (value - old_value).clamp(-clip, clip);
-    let loss =
-        huber(&(target - value), huber_delta).maximum(&huber(&(target - clipped), huber_delta));
+pub fn value_loss(value: &Tensor, old_value: &Tensor, target: &Tensor, active: &Tensor) -> Tensor {
+    let clipped = old_value + (value - old_value).clamp(-CLIP_RANGE, CLIP_RANGE);
+    let loss = huber(&(target - value)).maximum(&huber(&(target - clipped)));
     masked_mean(&loss, active)
 }
 
@@ -135,11 +111,11 @@ pub fn bounds_loss(mean: &Tensor, log_std: &Tensor) -> Tensor {
     excess.square().sum_dim_intlist(-1, false, Kind::Float).mean(Kind::Float) * 0.5
 }
 
-/// Returns e²/2 up to an error of `delta`, and a linear function beyond.
-fn huber(error: &Tensor, delta: f64) -> Tensor {
+/// Returns e²/2 up to an error of δ, [`HUBER_DELTA`], and a linear function beyond.
+fn huber(error: &Tensor) -> Tensor {
     let size = error.abs();
     // min(e, δ) · (e − min(e, δ)/2) equals both branches.
-    let inner = size.clamp_max(delta);
+    let inner = size.clamp_max(HUBER_DELTA);
     &inner * (size - &inner * 0.5)
 }
 
@@ -198,7 +174,7 @@ mod tests {
         let new = old.copy().set_requires_grad(true);
         let advantage = Tensor::from_slice(&[0.5_f32, -8.0, 9.0, 3.0]);
         let active = Tensor::from_slice(&[1.0_f32, 1.0, 1.0, 0.0]);
-        policy_loss(&new, &old, &advantage, &active, 0.2).backward();
+        policy_loss(&new, &old, &advantage, &active).backward();
         // -A ∇ log π, averaged over the active samples.
         let expected = Tensor::from_slice(&[-0.5_f32 / 3.0, 8.0 / 3.0, -3.0, 0.0]);
         let difference = (new.grad().view([-1]) - expected).abs().max().double_value(&[]);

@@ -95,6 +95,12 @@ impl Scene {
         self.comm.diagonal(0, 1, 2)
     }
 
+    /// Returns the positions of the agents that a message path computes.
+    pub(super) fn packing(&self) -> Packing {
+        let (rows, agents) = self.size();
+        if self.pack { Packing::of(&self.present()) } else { Packing::full(rows, agents) }
+    }
+
     /// Returns the embeddings of all slots, `[L · C, N, H]`, and the memory after each step,
     /// `[L, C · N, M]`, if there is one.
     pub(super) fn embed(&self, encoder: &Encoder) -> (Tensor, Option<Tensor>) {

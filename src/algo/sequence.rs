@@ -6,22 +6,25 @@
 //! before it, and no agent attends to an empty slot, so that agents with empty slots among them
 //! decide as they would without these slots.
 
-use std::f64::consts::SQRT_2;
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
-use super::decision::ActMode;
+use super::batch::{Batch, Shard};
+use super::critic::{ValueFunction, value_loss};
+use super::decision::{ActMode, Decision, Observation};
 use super::encoder::Encoder;
-use super::head::GaussianHead;
+use super::head::{GaussianHead, PolicyTerms, Ratio};
+use super::parameters::ParameterBuilder;
 use super::scene::Scene;
 use super::settings::Settings;
 use crate::env::EnvSpec;
-use crate::nn::{Decoded, Init, LayerNorm, Linear, Path, Reach, TransformerDecoder};
+use crate::nn::{
+    Activation, Decoded, Init, Layer, LayerNorm, Linear, Path, Reach, TransformerDecoder, ValueNorm,
+};
 
-/// The transformer of MAT and CommFormer, as wide as the network's layers.
+/// The transformer of MAT and CommFormer, as wide as the network's layers, with four attention heads.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -30,11 +33,6 @@ pub struct TransformerSettings {
     #[default = 1]
     #[schemars(range(min = 1, max = 64))]
     pub blocks: usize,
-    /// Number of attention heads (scripts of MAT and CommFormer: 1; the paper has 4 for every
-    /// method); a divisor of `network.hidden`.
-    #[default = 4]
-    #[schemars(range(min = 1))]
-    pub heads: i64,
 }
 
 /// The observation encoder and the transformer's input layer: normalisation, linear, GELU,
@@ -42,8 +40,7 @@ pub struct TransformerSettings {
 pub(super) struct Input {
     encoder: Encoder,
     norm: LayerNorm,
-    linear: Linear,
-    out_norm: LayerNorm,
+    layer: Layer,
 }
 
 impl Input {
@@ -52,8 +49,7 @@ impl Input {
         Self {
             encoder: Encoder::new(path.sub("encoder"), &spec.observation, &settings.network),
             norm: LayerNorm::new(path.sub("input_norm"), hidden),
-            linear: Linear::new(path.sub("input"), hidden, hidden, Init::Orthogonal(SQRT_2)),
-            out_norm: LayerNorm::new(path.sub("embed_norm"), hidden),
+            layer: Layer::new(&mut path, ["input", "embed_norm"], hidden, hidden, Activation::Gelu),
         }
     }
 
@@ -66,15 +62,14 @@ impl Input {
     /// step, `[L, C · N, M]`.
     pub(super) fn forward(&self, scene: &Scene) -> (Tensor, Option<Tensor>) {
         let (f, memory) = scene.embed(&self.encoder);
-        (self.out_norm.forward(&self.linear.forward(&self.norm.forward(&f)).gelu("none")), memory)
+        (self.layer.forward(&self.norm.forward(&f)), memory)
     }
 }
 
 /// The value of each agent from its representation in the transformer's encoder and from the
 /// privileged state: linear, GELU, normalisation, linear with gain 0.01.
 pub(super) struct ValueHead {
-    first: Linear,
-    norm: LayerNorm,
+    first: Layer,
     second: Linear,
 }
 
@@ -82,25 +77,65 @@ impl ValueHead {
     pub(super) fn new(mut path: Path<'_>, spec: &EnvSpec, hidden: i64) -> Self {
         let inputs = hidden + spec.state.len() as i64;
         Self {
-            first: Linear::new(path.sub("first"), inputs, hidden, Init::Orthogonal(SQRT_2)),
-            norm: LayerNorm::new(path.sub("norm"), hidden),
+            first: Layer::new(&mut path, ["first", "norm"], inputs, hidden, Activation::Gelu),
             second: Linear::new(path.sub("second"), hidden, 1, Init::Orthogonal(0.01)),
         }
     }
 
     /// Returns the values (normalised), `[..]`, for `representation: [.., H]` and `state: [.., S]`.
     pub(super) fn forward(&self, representation: &Tensor, state: &Tensor) -> Tensor {
-        let x = self.first.forward(&Tensor::cat(&[representation, state], -1)).gelu("none");
-        self.second.forward(&self.norm.forward(&x)).squeeze_dim(-1)
+        let x = self.first.forward(&Tensor::cat(&[representation, state], -1));
+        self.second.forward(&x).squeeze_dim(-1)
+    }
+}
+
+/// Networks whose encoder represents the agents of an environment together.
+pub(super) trait Represents {
+    /// Returns the representations of all agents of a scene.
+    fn represent(&self, scene: &Scene) -> Represented;
+
+    /// Returns the value on a representation.
+    fn value_head(&self) -> &ValueHead;
+}
+
+/// Result of an encoder for a scene.
+pub(super) struct Represented {
+    /// Representations of the agents, `[rows, N, H]`.
+    pub(super) representation: Tensor,
+    pub(super) order: Order,
+    /// Communication graph, `[rows, N, N]`, row = listener.
+    pub(super) graph: Tensor,
+    /// Memory of the observation encoder after the last step.
+    pub(super) memory: Option<Tensor>,
+}
+
+impl<R: Represents> ValueFunction for R {
+    fn memory(&self) -> i64 {
+        0
+    }
+
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        let known = self.represent(&Scene::of(input, None)).representation;
+        Some(self.value_head().forward(&known, state))
+    }
+
+    fn values(&self, batch: &Batch, _length: i64, _memory: &Tensor) -> (Tensor, Option<Tensor>) {
+        // The rollout holds the policy's memory before each row, so that every row is a sequence of
+        // its own.
+        let rows = Scene::of_batch(batch, 1, &batch.memory, &batch.policy_graph);
+        let value = |scene: &Scene, state: &Tensor| {
+            self.value_head().forward(&self.represent(scene).representation, state)
+        };
+        (rows.in_parts(&batch.state, value), None)
     }
 }
 
 /// A decoder of actions, agent by agent in the order of slots.
 pub(super) struct Sequence {
-    pub(super) decoder: TransformerDecoder,
+    decoder: TransformerDecoder,
     pub(super) head: GaussianHead,
     /// Number of action dimensions A.
-    pub(super) actions: i64,
+    actions: i64,
 }
 
 /// The order of decisions in rows `[B]`: which agents are present, and whose action each agent reads.
@@ -136,14 +171,40 @@ impl Order {
 }
 
 impl Sequence {
+    /// Creates the decoder, with relations for CommFormer, and the head, of as many actions as the
+    /// environment has.
+    pub(super) fn new(
+        decoder: TransformerDecoder,
+        builder: &mut ParameterBuilder,
+        spec: &EnvSpec,
+        settings: &Settings,
+    ) -> Self {
+        let head = GaussianHead::of_actor(builder, settings.network.hidden, spec, settings);
+        Self { decoder, head, actions: spec.actions.len() as i64 }
+    }
+
+    /// Returns the terms of the policy's loss, whose ratio is that of each dimension of the action,
+    /// and the value's loss on the active samples of a shard.
+    pub(super) fn losses(
+        &self,
+        batch: &Batch,
+        shard: &Shard,
+        known: &Represented,
+        value: &ValueHead,
+        settings: &Settings,
+        norm: &ValueNorm,
+    ) -> (PolicyTerms, Tensor) {
+        let Represented { representation, order, .. } = known;
+        let values = shard.pick(&value.forward(representation, &shard.take(&batch.state)));
+        let value = value_loss(batch, shard, &values, norm);
+        let read = self.of_actions(representation, &shard.take(&batch.action), order);
+        let (ppo, ratio) = (&settings.ppo, Ratio::PerDimension);
+        (PolicyTerms::new(batch, shard, &self.head, &shard.pick(&read), ppo, ratio), value)
+    }
+
     /// Returns the head's input for all agents at once, `[B, N, W]`, given the actions taken,
     /// `[B, N, A]`.
-    pub(super) fn of_actions(
-        &self,
-        representation: &Tensor,
-        actions: &Tensor,
-        order: &Order,
-    ) -> Tensor {
+    fn of_actions(&self, representation: &Tensor, actions: &Tensor, order: &Order) -> Tensor {
         let width = actions.size()[2];
         let all = actions.constant_pad_nd([0, 0, 1, 0]);
         let previous =
@@ -152,14 +213,14 @@ impl Sequence {
         self.decoder.forward(&previous, representation, &order.reach, &mut Decoded::default())
     }
 
-    /// Returns actions and the log-probabilities of their dimensions, `[E, N, A]`, decided agent by
-    /// agent in all environments at once.
+    /// Decides agent by agent in all environments at once.
     pub(super) fn act(
         &self,
-        representation: &Tensor,
-        order: &Order,
+        input: &Observation,
+        known: Represented,
         mode: &ActMode<'_>,
-    ) -> (Tensor, Tensor) {
+    ) -> Decision {
+        let Represented { representation, order, memory, .. } = known;
         let (mut actions, mut log_probs, mut decoded) =
             (Vec::new(), Vec::new(), Decoded::default());
         let like = (Kind::Float, representation.device());
@@ -169,7 +230,7 @@ impl Sequence {
             let previous = &last * of(&order.heard).unsqueeze(-1);
             let read = self.decoder.forward(
                 &previous,
-                &of(representation),
+                &of(&representation),
                 &order.reach.up_to(i),
                 &mut decoded,
             );
@@ -189,6 +250,7 @@ impl Sequence {
             actions.push(action);
             log_probs.push(log_prob);
         }
-        (Tensor::cat(&actions, 1), Tensor::cat(&log_probs, 1))
+        let (action, log_prob) = (Tensor::cat(&actions, 1), Tensor::cat(&log_probs, 1));
+        Decision { action, log_prob, memory: input.memory_after(memory) }
     }
 }

@@ -9,7 +9,7 @@ pub use super::commformer::CommFormerSettings;
 pub use super::encoder::{EncoderKind, Network};
 pub use super::head::{Exploration, NoiseMode};
 pub use super::icp::IcpSettings;
-pub use super::iwol::{GraphNoise, Iwol, PolicyInput, WorldTarget};
+pub use super::iwol::Iwol;
 pub use super::maddpg::MaddpgSettings;
 pub use super::magic::MagicSettings;
 pub use super::ppo::Ppo;
@@ -63,7 +63,7 @@ mod tests {
     fn methods_are_told_of_groups_that_there_are() {
         let mut settings = Settings::default();
         (settings.ppo.epochs, settings.iwol.rounds, settings.transformer.blocks) = (1, 7, 3);
-        (settings.magic.lambda_world, settings.commformer.graph_every) = (0.5, 2);
+        (settings.magic.lambda_world, settings.commformer.sparsity) = (0.5, 0.2);
         (settings.icp.symbols, settings.maddpg.n_step) = (5, 3);
         assert_eq!(settings.only(&Settings::OWN), settings);
         let common = Settings { ppo: settings.ppo.clone(), ..Settings::default() };

@@ -6,6 +6,7 @@ use super::presets::STEERING;
 use super::values::{Origin, Values};
 use crate::algo;
 use crate::scenario::ScenarioFile;
+use crate::algo::settings::Exploration;
 
 impl Values {
     /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
@@ -29,8 +30,7 @@ impl Values {
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
             values.follow("init_from", |config| {
-                let noise = &mut config.learner.exploration;
-                noise.log_std_start = noise.log_std_explore;
+                config.learner.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }
         values

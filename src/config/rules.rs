@@ -11,17 +11,15 @@ impl Config {
     /// values; `None` if there is none.
     pub(super) fn broken_rule(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (train, learner) = (&self.train, &self.learner);
-        let algo::Settings { network, ppo, exploration, iwol, transformer, .. } = learner;
+        let algo::Settings { network, ppo, exploration, .. } = learner;
         let samples = train
             .envs
             .saturating_mul(train.rollout_steps)
             .saturating_mul(train.batch_growth)
             .saturating_mul(self.agents as usize);
-        let commformer = self.algorithm == "commformer";
         let method = algo::capabilities(&self.algorithm).ok();
         let on_policy = method.is_none_or(|method| method.on_policy);
         let recurrent = network.encoder == settings::EncoderKind::Gru;
-        let divides = |part: i64, whole: i64| whole % part == 0;
         let rules: [(&'static [&'static str], bool, &'static str); _] = [
             (
                 &["train.rollout_steps", "train.batch_growth", "train.envs", "agents"],
@@ -34,35 +32,14 @@ impl Config {
                 "1 with MADDPG, which learns from a replay buffer",
             ),
             (
-                &["network.token_heads", "network.token_width"],
-                divides(network.token_heads, network.token_width),
-                "a divisor of network.token_width",
-            ),
-            (
                 &["network.chunk_length", "train.rollout_steps", "network.encoder"],
                 !recurrent || (1..=train.rollout_steps).contains(&network.chunk_length),
                 "1 to train.rollout_steps",
             ),
             (
-                &["iwol.heads", "iwol.message"],
-                divides(iwol.heads, iwol.message),
-                "a divisor of iwol.message",
-            ),
-            (
-                &["transformer.heads", "network.hidden", "algorithm"],
-                !(commformer || self.algorithm == "mat")
-                    || divides(transformer.heads, network.hidden),
-                "a divisor of network.hidden",
-            ),
-            (
-                &["commformer.graph_every", "ppo.epochs", "algorithm"],
-                (2..=ppo.epochs.max(2)).contains(&learner.commformer.graph_every) || !commformer,
-                "2 to ppo.epochs: of this number of passes over a rollout, one trains the graph",
-            ),
-            (
-                &["ppo.target_kl", "algorithm"],
-                ppo.target_kl == 0.0 || !commformer,
-                "0 with CommFormer, whose last pass over a rollout trains the graph",
+                &["ppo.epochs", "algorithm"],
+                ppo.epochs >= 5 || self.algorithm != "commformer",
+                "5 or more with CommFormer: every fifth pass over a rollout trains the graph",
             ),
             (
                 &["network.encoder", "algorithm"],
@@ -73,11 +50,6 @@ impl Config {
                 &["exploration.mode", "algorithm"],
                 exploration.mode == settings::NoiseMode::Schedule || on_policy,
                 "schedule: this method does not learn the amount of noise",
-            ),
-            (
-                &["network.extra_layers"],
-                network.hidden.saturating_mul(network.extra_layers as i64 + 1) <= 1 << 16,
-                "fewer or narrower layers",
             ),
         ];
         rules.into_iter().find(|rule| !rule.1).map(|(keys, _, allowed)| (keys, allowed))

@@ -115,7 +115,7 @@ fn a_trained_policy_begins_with_less_noise() {
     let start = |sets: &[&str]| resolve("", sets).unwrap().learner.exploration.log_std_start;
     let noise = settings::Exploration::default();
     assert_eq!((start(&[]), start(&["init_from="])), (noise.log_std_start, noise.log_std_start));
-    assert_eq!(start(&["init_from=runs/any"]), noise.log_std_explore);
+    assert_eq!(start(&["init_from=runs/any"]), -1.0);
     assert_eq!(start(&["init_from=runs/any", "exploration.log_std_start=-0.5"]), -0.5);
 }
 
@@ -125,8 +125,6 @@ fn the_resolved_configuration_is_a_configuration() {
     // matter.
     for sets in [
         ["scenario.reward.cooperation=0.25", "train.envs=3"],
-        ["iwol.message=96", "iwol.heads=3"],
-        ["network.token_width=24", "network.token_heads=3"],
         ["train.rollout_steps=256", "network.chunk_length=200"],
     ] {
         let config = resolve("", &sets).unwrap();
@@ -415,10 +413,9 @@ fn mistakes_name_place_key_and_neighbour() {
         "c.toml:1:7: bad value for `ppo`: allowed: a group of settings, `[ppo]`"
     );
     assert!(message("[ppo\n", &[]).starts_with("c.toml:1:"));
-    assert!(
-        message("", &["iwol.mask=soft"])
-            .starts_with("--set iwol.mask=soft: bad value for `iwol.mask`: unknown variant")
-    );
+    assert!(message("", &["exploration.mode=soft"]).starts_with(
+        "--set exploration.mode=soft: bad value for `exploration.mode`: unknown variant"
+    ));
     assert_eq!(
         message("", &["gamma"]),
         "--set gamma: bad value for `gamma`: write it as key=value"
@@ -430,12 +427,13 @@ fn mistakes_name_place_key_and_neighbour() {
     );
     assert_eq!(
         message("[iwol]\nmessage = 6\n", &[]),
-        "c.toml:2:11: bad value for `iwol.heads`: allowed: a divisor of iwol.message"
+        "c.toml:2:11: bad value for `iwol.message`: allowed: a multiple of 4, 4 to 4096"
     );
     assert!(message("", &["device=gpu"]).contains("write cpu, cuda or cuda:<number>"));
     assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
     assert!(
-        message("", &["ppo.target_kl=0.01", "algorithm=commformer"]).contains("0 with CommFormer")
+        message("", &["ppo.epochs=4", "algorithm=commformer"])
+            .contains("5 or more with CommFormer")
     );
 }
 

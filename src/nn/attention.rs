@@ -13,8 +13,6 @@ pub enum Mask<'a> {
     /// A graph `[B, 1, Q, T]` of 0 and 1, by which the weights are multiplied before they are
     /// normalised (`graph_softmax`).
     Graph(&'a Tensor),
-    /// Multiplied with the logits: a key with factor 0 has logit 0, hence still gets weight.
-    Multiply(&'a Tensor),
 }
 
 /// Scaled dot-product self-attention. Queries, keys and values come from one fused linear layer.
@@ -77,7 +75,6 @@ impl SelfAttention {
         let weights = match mask {
             Mask::Add(bias) => softmax(&(logits + bias)),
             Mask::Graph(graph) => graph_softmax(&logits, graph),
-            Mask::Multiply(factor) => softmax(&(logits * factor)),
         };
         weights.matmul(values).transpose(1, 2).reshape([batch, count, heads * head])
     }

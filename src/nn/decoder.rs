@@ -3,15 +3,11 @@
 //! 2022, PKU-MARL/Multi-Agent-Transformer, `ma_transformer.py`). With relations, the decoder is
 //! that of CommFormer (Hu et al. 2024, charleshsc/CommFormer, `cformer.py`).
 
-use std::cell::RefCell;
-use std::f64::consts::SQRT_2;
-
-use rand::RngExt as _;
 use tch::{Kind, Tensor};
 
 use super::attention::{graph_softmax, softmax};
-use super::{Init, LayerNorm, Linear, Path};
-use crate::rng::Rng;
+use super::transformer::FeedForward;
+use super::{Activation, Init, Layer, LayerNorm, Linear, Path};
 
 /// Which agent attends to which, among the N agents of B worlds.
 #[derive(Debug)]
@@ -132,17 +128,6 @@ impl Attention {
         reach: &Reach,
         relations: Option<&Tensor>,
     ) -> Tensor {
-        self.out.forward(&self.mix(queries, among, reach, relations))
-    }
-
-    /// Returns the concatenated results of the heads, before the output layer.
-    fn mix(
-        &self,
-        queries: &Tensor,
-        among: &KeysValues,
-        reach: &Reach,
-        relations: Option<&Tensor>,
-    ) -> Tensor {
         let KeysValues(keys, values) = among;
         let query = self.split(&self.query.forward(queries));
         let scale = 1.0 / (query.size()[3] as f64).sqrt();
@@ -168,7 +153,7 @@ impl Attention {
         };
         let mixed = weights.matmul(values).transpose(1, 2);
         let (batch, count, heads, head) = mixed.size4().expect("[B, Q, heads, d]");
-        mixed.reshape([batch, count, heads * head])
+        self.out.forward(&mixed.reshape([batch, count, heads * head]))
     }
 }
 
@@ -180,9 +165,7 @@ struct DecoderBlock {
     own_norm: LayerNorm,
     cross: Attention,
     cross_norm: LayerNorm,
-    up: Linear,
-    down: Linear,
-    mlp_norm: LayerNorm,
+    perceptron: FeedForward,
 }
 
 /// Keys and values of a block's two attentions for the agents decoded so far, if there are any.
@@ -195,9 +178,7 @@ impl DecoderBlock {
             own_norm: LayerNorm::new(path.sub("own_norm"), width),
             cross: Attention::new(path.sub("cross"), width, heads, init, related),
             cross_norm: LayerNorm::new(path.sub("cross_norm"), width),
-            up: Linear::new(path.sub("up"), width, width, Init::Orthogonal(SQRT_2)),
-            down: Linear::new(path.sub("down"), width, width, Init::Orthogonal(0.01)),
-            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+            perceptron: FeedForward::of_mat(&mut path, width),
         }
     }
 
@@ -220,7 +201,7 @@ impl DecoderBlock {
         let heard = self.cross.forward(representation, &cross, reach, relations);
         let x = self.cross_norm.forward(&(representation + heard));
         *remembered = Some((own, cross));
-        self.mlp_norm.forward(&(&x + self.down.forward(&self.up.forward(&x).gelu("none"))))
+        self.perceptron.forward(&x)
     }
 }
 
@@ -228,11 +209,9 @@ impl DecoderBlock {
 /// before it and its own representation.
 #[derive(Debug)]
 pub struct TransformerDecoder {
-    embed: Linear,
-    embed_norm: LayerNorm,
+    embed: Layer,
     blocks: Vec<DecoderBlock>,
-    head: Linear,
-    head_norm: LayerNorm,
+    head: Layer,
     /// Embeddings of the two kinds of relation, `[2, W]`; `None` without relations.
     relations: Option<Tensor>,
 }
@@ -257,18 +236,16 @@ impl TransformerDecoder {
         relations: Option<&Tensor>,
     ) -> Self {
         let init = if relations.is_some() { Init::Normal(0.02) } else { Init::Orthogonal(0.01) };
-        let embed = Linear::new(path.sub("embed"), actions, width, Init::Orthogonal(SQRT_2));
-        let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
+        let names = ["embed", "embed_norm"];
+        let embed = Layer::new(&mut path, names, actions, width, Activation::Gelu);
         let mut below = path.sub("blocks");
         let blocks = (0..blocks)
             .map(|i| DecoderBlock::new(below.sub(i), width, heads, init, relations.is_some()))
             .collect();
         Self {
             embed,
-            embed_norm,
             blocks,
-            head: Linear::new(path.sub("head"), width, width, Init::Orthogonal(SQRT_2)),
-            head_norm: LayerNorm::new(path.sub("head_norm"), width),
+            head: Layer::new(&mut path, ["head", "head_norm"], width, width, Activation::Gelu),
             relations: relations.map(Tensor::shallow_clone),
         }
     }
@@ -287,35 +264,11 @@ impl TransformerDecoder {
         decoded: &mut Decoded,
     ) -> Tensor {
         decoded.0.resize_with(self.blocks.len(), || None);
-        let mut x = self.embed_norm.forward(&self.embed.forward(previous).gelu("none"));
+        let mut x = self.embed.forward(previous);
         for (block, remembered) in self.blocks.iter().zip(&mut decoded.0) {
             x = block.forward(&x, representation, reach, self.relations.as_ref(), remembered);
         }
-        self.head_norm.forward(&self.head.forward(&x).gelu("none"))
-    }
-}
-
-/// Dropout: sets random elements to zero and scales up the others. Its draws depend on its own
-/// generator alone.
-#[derive(Debug)]
-pub struct Dropout {
-    rate: f64,
-    rng: RefCell<Rng>,
-}
-
-impl Dropout {
-    /// Creates a dropout that sets the share `rate` of the elements to zero.
-    pub fn new(rate: f64, rng: Rng) -> Self {
-        Self { rate, rng: RefCell::new(rng) }
-    }
-
-    fn forward(&self, x: &Tensor) -> Tensor {
-        let mut rng = self.rng.borrow_mut();
-        let kept = |_| {
-            if rng.random::<f64>() < self.rate { 0.0 } else { (1.0 / (1.0 - self.rate)) as f32 }
-        };
-        let kept: Vec<f32> = (0..x.numel()).map(kept).collect();
-        x * Tensor::from_slice(&kept).view_as(x).to_device(x.device())
+        self.head.forward(&x)
     }
 }
 
@@ -325,9 +278,7 @@ impl Dropout {
 pub struct RelationBlock {
     attention: Attention,
     attention_norm: LayerNorm,
-    up: Linear,
-    down: Linear,
-    mlp_norm: LayerNorm,
+    perceptron: FeedForward,
 }
 
 impl RelationBlock {
@@ -340,29 +291,16 @@ impl RelationBlock {
         Self {
             attention: Attention::new(path.sub("attention"), width, heads, init, true),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
-            up: Linear::new(path.sub("up"), width, width, init),
-            down: Linear::new(path.sub("down"), width, width, init),
-            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+            perceptron: FeedForward::new(&mut path, width, [init; 2], Activation::Relu),
         }
     }
 
     /// Maps agents `x: [B, N, W]` to the same shape. `relations: [2, W]` are the embeddings of the
-    /// two kinds of relation. `dropout` applies to the results of the heads, of the attention and
-    /// of both layers of the perceptron.
-    pub fn forward(
-        &self,
-        x: &Tensor,
-        reach: &Reach,
-        relations: &Tensor,
-        dropout: Option<&Dropout>,
-    ) -> Tensor {
-        let dropped =
-            |x: Tensor| dropout.map_or_else(|| x.shallow_clone(), |dropout| dropout.forward(&x));
-        let mixed =
-            dropped(self.attention.mix(x, &self.attention.keys_values(x), reach, Some(relations)));
-        let x = self.attention_norm.forward(&(x + dropped(self.attention.out.forward(&mixed))));
-        let inner = dropped(self.up.forward(&x).relu());
-        self.mlp_norm.forward(&(&x + dropped(self.down.forward(&inner))))
+    /// two kinds of relation.
+    pub fn forward(&self, x: &Tensor, reach: &Reach, relations: &Tensor) -> Tensor {
+        let among = self.attention.keys_values(x);
+        let change = self.attention.forward(x, &among, reach, Some(relations));
+        self.perceptron.forward(&self.attention_norm.forward(&(x + change)))
     }
 }
 
@@ -427,18 +365,5 @@ mod tests {
             assert!(other.narrow(1, 0, 3).equal(&all.narrow(1, 0, 3)));
             assert!(!other.select(1, 3).equal(&all.select(1, 3)));
         }
-    }
-
-    #[test]
-    fn dropout_keeps_the_mean_and_follows_from_its_seed() {
-        let x = Tensor::ones([100, 100], (Kind::Float, Device::Cpu));
-        let drop = |seed: u64| Dropout::new(0.1, Seed::new(seed).rng()).forward(&x);
-        let y = drop(1);
-        let gone = y.eq(0.0).to_kind(Kind::Float).mean(Kind::Float).double_value(&[]);
-        assert!(
-            (gone - 0.1).abs() < 0.02 && (y.mean(Kind::Float).double_value(&[]) - 1.0).abs() < 0.02,
-            "{gone}"
-        );
-        assert!(drop(1).equal(&y) && !drop(2).equal(&y));
     }
 }

@@ -9,7 +9,7 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
+use super::{Activation, Init, Layer, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
 /// Position of the tokens of one kind in a flat observation: `count` consecutive tokens of `width`
 /// features each.
@@ -36,8 +36,7 @@ pub struct Entity {
     embed_norm: LayerNorm,
     attention: SelfAttention,
     attention_norm: LayerNorm,
-    out: Linear,
-    out_norm: LayerNorm,
+    out: Layer,
 }
 
 impl Entity {
@@ -84,8 +83,7 @@ impl Entity {
                 Init::Orthogonal(1.0),
             ),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
-            out: Linear::new(path.sub("out"), 2 * width, hidden, Init::Orthogonal(SQRT_2)),
-            out_norm: LayerNorm::new(path.sub("out_norm"), hidden),
+            out: Layer::new(&mut path, ["out", "out_norm"], 2 * width, hidden, Activation::Relu),
         }
     }
 
@@ -119,7 +117,7 @@ impl Entity {
         let weight = &weight / weight.sum_dim_intlist(1, true, Kind::Float);
         let mean = weight.unsqueeze(1).bmm(&x).squeeze_dim(1);
         let pooled = Tensor::cat(&[mean, x.select(1, 0)], 1);
-        self.out_norm.forward(&self.out.forward(&pooled).relu())
+        self.out.forward(&pooled)
     }
 }
 

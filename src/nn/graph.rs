@@ -18,35 +18,21 @@ pub struct CommGraph {
     base: Mlp,
     receiver: Tensor,
     sender: Tensor,
-    slope: f64,
     bias: f64,
-    temperature: f64,
 }
+
+/// Slope of the leaky rectifier for negative scores (Veličković et al. 2018; the released code of
+/// IWoL has 1.2 in its driving tasks).
+const SLOPE: f32 = 0.2;
 
 impl CommGraph {
     /// Creates a graph over features of width `inputs`, with its own trunk of width `hidden`.
-    /// `slope` is the slope of the leaky rectifier for negative scores (0.2 is usual; the released
-    /// code uses 1.2 in its driving tasks). `bias` is added to every score. `temperature` is that
-    /// of the straight-through gradient.
-    pub fn new(
-        mut path: Path<'_>,
-        inputs: i64,
-        hidden: i64,
-        slope: f64,
-        bias: f64,
-        temperature: f64,
-    ) -> Self {
-        let base = Mlp::new(path.sub("base"), inputs, hidden, 1);
+    /// `bias` is added to every score.
+    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, bias: f64) -> Self {
+        let base = Mlp::new(path.sub("base"), inputs, hidden);
         let init = Init::XavierNormal(SQRT_2);
         let receiver = path.create("receiver", &[1, hidden], init);
-        CommGraph {
-            base,
-            receiver,
-            sender: path.create("sender", &[1, hidden], init),
-            slope,
-            bias,
-            temperature,
-        }
+        CommGraph { base, receiver, sender: path.create("sender", &[1, hidden], init), bias }
     }
 
     /// Returns scores `e: [B, N, N]` from features `f: [P, H]` of the agents in the `B` rows of a
@@ -65,7 +51,7 @@ impl CommGraph {
     }
 
     fn leaky(&self, sum: &Tensor) -> Tensor {
-        let scores = sum.prelu(&Tensor::from(self.slope as f32).to_device(sum.device()));
+        let scores = sum.prelu(&Tensor::from(SLOPE).to_device(sum.device()));
         if self.bias == 0.0 { scores } else { scores + self.bias }
     }
 
@@ -82,7 +68,7 @@ impl CommGraph {
         physical: &Tensor,
         noise: Option<&Tensor>,
     ) -> Tensor {
-        sample_edges(&self.scores(f, packing), physical, noise, self.temperature)
+        sample_edges(&self.scores(f, packing), physical, noise)
     }
 
     /// Returns one row of [`CommGraph::forward`], without noise and with all agents present: which
@@ -100,25 +86,19 @@ impl CommGraph {
 }
 
 /// Samples a graph from scores, as [`CommGraph::forward`] describes. All tensors are `[B, N, N]`.
-pub fn sample_edges(
-    scores: &Tensor,
-    physical: &Tensor,
-    noise: Option<&Tensor>,
-    temperature: f64,
-) -> Tensor {
+pub fn sample_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
     let scores = noise.map_or_else(|| scores.shallow_clone(), |noise| scores + noise);
-    let soft =
-        if temperature == 1.0 { scores.sigmoid() } else { (&scores / temperature).sigmoid() };
+    let soft = scores.sigmoid();
     let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
     with_self_loops(&(learned * physical.to_kind(Kind::Float)))
 }
 
 /// Marks the `count` largest entries of each row of `scores: [.., N]` with 1 and the others with 0.
-/// The gradient is that of the row's softmax at this temperature (CommFormer's static graph).
-pub fn sample_best(scores: &Tensor, count: i64, temperature: f64) -> Tensor {
+/// The gradient is that of the row's softmax (CommFormer's static graph).
+pub fn sample_best(scores: &Tensor, count: i64) -> Tensor {
     let (_, best) = tch::no_grad(|| scores.topk(count, -1, true, true));
     let hard = scores.zeros_like().scatter_value(-1, &best, 1.0).detach();
-    let soft = (scores / temperature).softmax(-1, Kind::Float);
+    let soft = scores.softmax(-1, Kind::Float);
     hard + (&soft - soft.detach())
 }
 
@@ -165,7 +145,7 @@ mod tests {
     }
 
     fn scheduler() -> CommGraph {
-        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 5, 0.2, 0.0, 1.0)
+        CommGraph::new(Params::new(Device::Cpu).root(&mut Seed::new(6).rng()), 5, 5, 0.0)
     }
 
     #[test]

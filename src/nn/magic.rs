@@ -50,8 +50,7 @@ impl Scheduler {
         logits.select(-1, 1) - logits.select(-1, 0)
     }
 
-    /// Returns the graph at temperature 1, as [`CommGraph::forward`](super::CommGraph::forward)
-    /// does.
+    /// Returns the graph, as [`CommGraph::forward`](super::CommGraph::forward) does.
     pub fn forward(
         &self,
         f: &Tensor,
@@ -59,7 +58,7 @@ impl Scheduler {
         physical: &Tensor,
         noise: Option<&Tensor>,
     ) -> Tensor {
-        sample_edges(&self.scores(f, packing), physical, noise, 1.0)
+        sample_edges(&self.scores(f, packing), physical, noise)
     }
 }
 

@@ -1,5 +1,5 @@
 //! The feed-forward trunk of MAPPO (Yu et al. 2022, reference code
-//! `onpolicy/algorithms/utils/mlp.py`), which all learners here share.
+//! `onpolicy/algorithms/utils/mlp.py`), which all learners here share, and its layers.
 
 use std::f64::consts::SQRT_2;
 
@@ -7,35 +7,74 @@ use tch::Tensor;
 
 use super::{Init, LayerNorm, Linear, Path};
 
-/// A trunk: layer normalisation of the input, then blocks of a linear layer (orthogonal weights,
-/// gain √2), a rectifier and layer normalisation.
+/// A linear layer (orthogonal weights, gain √2), an activation and layer normalisation.
+#[derive(Debug)]
+pub struct Layer {
+    linear: Linear,
+    norm: LayerNorm,
+    activation: Activation,
+}
+
+/// The activation of a [`Layer`].
+#[derive(Debug, Clone, Copy)]
+pub enum Activation {
+    /// The rectifier.
+    Relu,
+    /// The Gaussian error linear unit.
+    Gelu,
+}
+
+impl Activation {
+    /// Applies the activation elementwise.
+    pub fn apply(self, x: &Tensor) -> Tensor {
+        match self {
+            Self::Relu => x.relu(),
+            Self::Gelu => x.gelu("none"),
+        }
+    }
+}
+
+impl Layer {
+    /// Creates a layer from `inputs` to `outputs` features, whose parts have the names `linear` and
+    /// `norm` below `path`.
+    pub fn new(
+        path: &mut Path<'_>,
+        [linear, norm]: [&str; 2],
+        inputs: i64,
+        outputs: i64,
+        activation: Activation,
+    ) -> Self {
+        let linear = Linear::new(path.sub(linear), inputs, outputs, Init::Orthogonal(SQRT_2));
+        Self { linear, norm: LayerNorm::new(path.sub(norm), outputs), activation }
+    }
+
+    /// Maps `x: [.., inputs]` to `[.., outputs]`.
+    pub fn forward(&self, x: &Tensor) -> Tensor {
+        self.norm.forward(&self.activation.apply(&self.linear.forward(x)))
+    }
+}
+
+/// A trunk: layer normalisation of the input, then two layers with rectifiers (MAPPO's default).
 #[derive(Debug)]
 pub struct Mlp {
     norm: LayerNorm,
-    layers: Vec<(Linear, LayerNorm)>,
+    layers: [Layer; 2],
 }
 
 impl Mlp {
-    /// Creates a trunk from `inputs` to `hidden` features with `1 + extra_layers` blocks (MAPPO's
-    /// default: one extra layer).
-    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64, extra_layers: usize) -> Self {
+    /// Creates a trunk from `inputs` to `hidden` features.
+    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64) -> Self {
         let norm = LayerNorm::new(path.sub("norm"), inputs);
-        let mut layers_path = path.sub("layers");
-        let layers = (0..=extra_layers)
-            .map(|i| {
-                let mut path = layers_path.sub(i);
-                let width = if i == 0 { inputs } else { hidden };
-                let linear =
-                    Linear::new(path.sub("linear"), width, hidden, Init::Orthogonal(SQRT_2));
-                (linear, LayerNorm::new(path.sub("norm"), hidden))
-            })
-            .collect();
+        let mut path = path.sub("layers");
+        let layers = [(0, inputs), (1, hidden)].map(|(i, width)| {
+            Layer::new(&mut path.sub(i), ["linear", "norm"], width, hidden, Activation::Relu)
+        });
         Mlp { norm, layers }
     }
 
     /// Maps `x: [.., inputs]` to `[.., hidden]`.
     pub fn forward(&self, x: &Tensor) -> Tensor {
-        let x = self.norm.forward(x);
-        self.layers.iter().fold(x, |x, (linear, norm)| norm.forward(&linear.forward(&x).relu()))
+        let [first, second] = &self.layers;
+        second.forward(&first.forward(&self.norm.forward(x)))
     }
 }

@@ -192,7 +192,7 @@ mod tests {
 
     fn network() -> (Params, Mlp, Tensor) {
         let mut params = Params::new(Device::Cpu);
-        let mlp = Mlp::new(params.root(&mut Seed::new(1).rng()), 4, 8, 1);
+        let mlp = Mlp::new(params.root(&mut Seed::new(1).rng()), 4, 8);
         (
             params,
             mlp,

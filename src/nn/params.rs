@@ -221,7 +221,7 @@ mod tests {
 
     fn network(seed: u64) -> (Params, Mlp) {
         let mut params = Params::new(Device::Cpu);
-        let mlp = Mlp::new(params.root(&mut Seed::new(seed).rng()).sub("actor"), 5, 8, 1);
+        let mlp = Mlp::new(params.root(&mut Seed::new(seed).rng()).sub("actor"), 5, 8);
         (params, mlp)
     }
 

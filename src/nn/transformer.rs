@@ -2,28 +2,53 @@
 //! features into messages.
 //!
 //! The architecture is that of the released IWoL code (`transformer_comm.py`), which is the encoder
-//! of MAT (Wen et al. 2022): post-norm blocks whose output layers start near zero. [`MaskMode`]
-//! selects how the graph acts on the attention.
+//! of MAT (Wen et al. 2022): post-norm blocks whose output layers start near zero. Attention is
+//! limited to open edges: what is sent over a closed edge changes nothing, bit for bit. (The
+//! released code multiplies logits by the graph, so that closed edges leak.)
 
 use std::f64::consts::SQRT_2;
 
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
-use super::{Init, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
+use super::{Activation, Init, Layer, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
 
-/// How the graph acts on the attention.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum MaskMode {
-    /// Attention is limited to open edges: what is sent over a cut edge changes nothing, bit for
-    /// bit, and gets no gradient. The gradient of an edge, open or closed, is that of its
-    /// renormalised attention weight, so that a learned graph is trained.
-    #[default]
-    Hard,
-    /// Logits are multiplied by the graph (released code): a cut edge has logit 0 and still leaks.
-    LogitMul,
+/// The second half of a post-norm transformer block: a perceptron of the same width, whose output is
+/// added to its input and normalised.
+#[derive(Debug)]
+pub(super) struct FeedForward {
+    up: Linear,
+    down: Linear,
+    norm: LayerNorm,
+    activation: Activation,
+}
+
+impl FeedForward {
+    /// Creates the layers `up`, `down` and `mlp_norm` below `path`, whose weights are drawn by `init`.
+    pub(super) fn new(
+        path: &mut Path<'_>,
+        width: i64,
+        init: [Init; 2],
+        activation: Activation,
+    ) -> Self {
+        Self {
+            up: Linear::new(path.sub("up"), width, width, init[0]),
+            down: Linear::new(path.sub("down"), width, width, init[1]),
+            norm: LayerNorm::new(path.sub("mlp_norm"), width),
+            activation,
+        }
+    }
+
+    /// Creates the layers of MAT: the activation is GELU, and the output starts near zero.
+    pub(super) fn of_mat(path: &mut Path<'_>, width: i64) -> Self {
+        let init = [Init::Orthogonal(SQRT_2), Init::Orthogonal(0.01)];
+        Self::new(path, width, init, Activation::Gelu)
+    }
+
+    /// Maps `x: [.., width]` to the same shape.
+    pub(super) fn forward(&self, x: &Tensor) -> Tensor {
+        let change = self.down.forward(&self.activation.apply(&self.up.forward(x)));
+        self.norm.forward(&(x + change))
+    }
 }
 
 /// A post-norm transformer block: self-attention, then a perceptron of the same width with GELU.
@@ -32,9 +57,7 @@ pub enum MaskMode {
 pub struct Block {
     attention: SelfAttention,
     attention_norm: LayerNorm,
-    up: Linear,
-    down: Linear,
-    mlp_norm: LayerNorm,
+    perceptron: FeedForward,
 }
 
 impl Block {
@@ -51,15 +74,13 @@ impl Block {
                 Init::Orthogonal(0.01),
             ),
             attention_norm: LayerNorm::new(path.sub("attention_norm"), width),
-            up: Linear::new(path.sub("up"), width, width, Init::Orthogonal(SQRT_2)),
-            down: Linear::new(path.sub("down"), width, width, Init::Orthogonal(0.01)),
-            mlp_norm: LayerNorm::new(path.sub("mlp_norm"), width),
+            perceptron: FeedForward::of_mat(&mut path, width),
         }
     }
 
     /// Maps tokens `x: [P, width]` of the occupied slots of a packing to the same shape.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
-        self.feed_forward(&(x + self.attention.forward(x, packing, mask)))
+        self.rest(&(x + self.attention.forward(x, packing, mask)))
     }
 
     /// Computes [`Block::forward`] for one token of each row, where every slot is occupied, as
@@ -68,14 +89,12 @@ impl Block {
         let (batch, _, width) = x.size3().expect("tokens are [B, T, width]");
         let index = place.view([batch, 1, 1]).expand([batch, 1, width], false);
         let own = x.gather(1, &index, false).squeeze_dim(1);
-        self.feed_forward(&(own + self.attention.forward_one(x, place, mask)))
+        self.rest(&(own + self.attention.forward_one(x, place, mask)))
     }
 
     /// Applies the rest of the block to the sum of input and attention, `[P, width]`.
-    fn feed_forward(&self, x: &Tensor) -> Tensor {
-        let x = self.attention_norm.forward(x);
-        let change = self.down.forward(&self.up.forward(&x).gelu("none"));
-        self.mlp_norm.forward(&(x + change))
+    fn rest(&self, x: &Tensor) -> Tensor {
+        self.perceptron.forward(&self.attention_norm.forward(x))
     }
 }
 
@@ -83,13 +102,10 @@ impl Block {
 /// over the graph, and output head (linear, GELU, normalisation, linear with gain 0.01).
 #[derive(Debug)]
 pub struct GraphTransformer {
-    mask: MaskMode,
     in_norm: LayerNorm,
-    input: Linear,
-    embed_norm: LayerNorm,
+    input: Layer,
     blocks: Vec<Block>,
-    head: Linear,
-    head_norm: LayerNorm,
+    head: Layer,
     out: Linear,
 }
 
@@ -99,27 +115,17 @@ impl GraphTransformer {
     ///
     /// # Panics
     /// If the heads do not divide the width.
-    pub fn new(
-        mut path: Path<'_>,
-        inputs: i64,
-        width: i64,
-        rounds: usize,
-        heads: i64,
-        mask: MaskMode,
-    ) -> Self {
+    pub fn new(mut path: Path<'_>, inputs: i64, width: i64, rounds: usize, heads: i64) -> Self {
         let in_norm = LayerNorm::new(path.sub("in_norm"), inputs);
-        let input = Linear::new(path.sub("input"), inputs, width, Init::Orthogonal(SQRT_2));
-        let embed_norm = LayerNorm::new(path.sub("embed_norm"), width);
+        let names = ["input", "embed_norm"];
+        let input = Layer::new(&mut path, names, inputs, width, Activation::Gelu);
         let mut blocks = path.sub("rounds");
         let blocks = (0..rounds).map(|i| Block::new(blocks.sub(i), width, heads)).collect();
         GraphTransformer {
-            mask,
             in_norm,
             input,
-            embed_norm,
             blocks,
-            head: Linear::new(path.sub("head"), width, width, Init::Orthogonal(SQRT_2)),
-            head_norm: LayerNorm::new(path.sub("head_norm"), width),
+            head: Layer::new(&mut path, ["head", "head_norm"], width, width, Activation::Gelu),
             out: Linear::new(path.sub("out"), width, width, Init::Orthogonal(0.01)),
         }
     }
@@ -131,7 +137,7 @@ impl GraphTransformer {
         let mut x = self.embed(f);
         let mask = graph.unsqueeze(1);
         for block in &self.blocks {
-            x = block.forward(&x, packing, self.masked(&mask));
+            x = block.forward(&x, packing, Mask::Graph(&mask));
         }
         self.output(&x)
     }
@@ -145,7 +151,7 @@ impl GraphTransformer {
     pub fn forward_one(&self, f: &Tensor, place: &Tensor, graph: &Tensor) -> Tensor {
         let [block] = &self.blocks[..] else { panic!("{} rounds, and not one", self.blocks.len()) };
         let x = self.embed(&f.flatten(0, 1)).view([f.size()[0], f.size()[1], -1]);
-        self.output(&block.forward_one(&x, place, self.masked(&graph.unsqueeze(1))))
+        self.output(&block.forward_one(&x, place, Mask::Graph(&graph.unsqueeze(1))))
     }
 
     /// Returns the number of rounds L.
@@ -154,18 +160,11 @@ impl GraphTransformer {
     }
 
     fn embed(&self, f: &Tensor) -> Tensor {
-        self.embed_norm.forward(&self.input.forward(&self.in_norm.forward(f)).gelu("none"))
+        self.input.forward(&self.in_norm.forward(f))
     }
 
     fn output(&self, x: &Tensor) -> Tensor {
-        self.out.forward(&self.head_norm.forward(&self.head.forward(x).gelu("none")))
-    }
-
-    fn masked<'a>(&self, mask: &'a Tensor) -> Mask<'a> {
-        match self.mask {
-            MaskMode::Hard => Mask::Graph(mask),
-            MaskMode::LogitMul => Mask::Multiply(mask),
-        }
+        self.out.forward(&self.head.forward(x))
     }
 }
 
@@ -180,10 +179,10 @@ mod tests {
     const AGENTS: i64 = 5;
     const WIDTH: i64 = 8;
 
-    fn transformer(mask: MaskMode) -> GraphTransformer {
+    fn transformer() -> GraphTransformer {
         let mut params = Params::new(Device::Cpu);
         let network =
-            GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2, mask);
+            GraphTransformer::new(params.root(&mut Seed::new(1).rng()), WIDTH, WIDTH, 3, 2);
         // Larger matrices: with the gain of 0.01, rounding would hide any flow of information.
         tch::no_grad(|| {
             for (name, tensor) in params.named() {
@@ -230,8 +229,7 @@ mod tests {
 
     #[test]
     fn a_cut_sender_changes_nothing_bit_for_bit() {
-        let (network, f) =
-            (transformer(MaskMode::Hard), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
+        let (network, f) = (transformer(), uniform(&[3, AGENTS, WIDTH], 2).set_requires_grad(true));
         let graph = silenced(2);
         let out = messages(&network, &f, &graph);
         let out_perturbed = messages(&network, &perturbed(&f.detach(), 2), &graph);
@@ -245,45 +243,40 @@ mod tests {
     }
 
     #[test]
-    fn an_open_edge_and_the_released_masking_do_let_information_through() {
-        let f = uniform(&[3, AGENTS, WIDTH], 2);
-        let complete = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
-        for (mask, graph) in [(MaskMode::Hard, complete), (MaskMode::LogitMul, silenced(2))] {
-            let network = transformer(mask);
-            let difference =
-                messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
-            assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3, "{mask:?}");
-        }
+    fn an_open_edge_lets_information_through() {
+        let (network, f) = (transformer(), uniform(&[3, AGENTS, WIDTH], 2));
+        let graph = Tensor::ones([3, AGENTS, AGENTS], (Kind::Float, Device::Cpu));
+        let difference =
+            messages(&network, &f, &graph) - messages(&network, &perturbed(&f, 2), &graph);
+        assert!(others(&difference, 2).abs().max().double_value(&[]) > 1e-3);
     }
 
     /// One agent of each row alone, in one round, gets the same message as among all agents.
     #[test]
     fn one_agent_reads_as_it_does_among_all() {
-        for mask in [MaskMode::Hard, MaskMode::LogitMul] {
-            let mut params = Params::new(Device::Cpu);
-            let mut rng = Seed::new(1).rng();
-            let mut path = params.root(&mut rng);
-            let scheduler = CommGraph::new(path.sub("graph"), WIDTH, WIDTH, 0.2, 0.0, 1.0);
-            let network = GraphTransformer::new(path.sub("transformer"), WIDTH, WIDTH, 1, 2, mask);
-            let (f, physical) =
-                (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
-            let (flat, packing) = (f.flatten(0, 1), Packing::full(3, AGENTS));
-            let graph = scheduler.forward(&flat, &packing, &physical, None);
-            let all = packing.unpack(&network.forward(&flat, &packing, &graph));
-            let places = [4_i64, 0, 2];
-            let place = Tensor::from_slice(&places);
-            let of = |x: &Tensor| {
-                let rows: Vec<_> =
-                    (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
-                Tensor::stack(&rows, 0)
-            };
-            let heard =
-                scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
-            assert!(heard.squeeze_dim(1).equal(&of(&graph)), "{mask:?}");
-            assert!(heard.sum(Kind::Float).double_value(&[]) > 3.0, "somebody listens to another");
-            let one = network.forward_one(&f, &place, &heard);
-            assert!((one - of(&all)).abs().max().double_value(&[]) < 1e-6, "{mask:?}");
-        }
+        let mut params = Params::new(Device::Cpu);
+        let mut rng = Seed::new(1).rng();
+        let mut path = params.root(&mut rng);
+        let scheduler = CommGraph::new(path.sub("graph"), WIDTH, WIDTH, 0.0);
+        let network = GraphTransformer::new(path.sub("transformer"), WIDTH, WIDTH, 1, 2);
+        let (f, physical) =
+            (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
+        let (flat, packing) = (f.flatten(0, 1), Packing::full(3, AGENTS));
+        let graph = scheduler.forward(&flat, &packing, &physical, None);
+        let all = packing.unpack(&network.forward(&flat, &packing, &graph));
+        let places = [4_i64, 0, 2];
+        let place = Tensor::from_slice(&places);
+        let of = |x: &Tensor| {
+            let rows: Vec<_> =
+                (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
+            Tensor::stack(&rows, 0)
+        };
+        let heard =
+            scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
+        assert!(heard.squeeze_dim(1).equal(&of(&graph)));
+        assert!(heard.sum(Kind::Float).double_value(&[]) > 3.0, "somebody listens to another");
+        let one = network.forward_one(&f, &place, &heard);
+        assert!((one - of(&all)).abs().max().double_value(&[]) < 1e-6);
     }
 
     /// An absent agent changes nothing through scheduler and transformer, because it has no
@@ -291,9 +284,8 @@ mod tests {
     #[test]
     fn a_dead_agent_changes_nothing_through_the_learned_graph() {
         let mut params = Params::new(Device::Cpu);
-        let scheduler =
-            CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
-        let network = transformer(MaskMode::Hard);
+        let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.0);
+        let network = transformer();
         let physical = silenced(4);
         let _ = physical.select(1, 4).fill_(0.0);
         let noise = uniform(&[3, AGENTS, AGENTS], 4) * 3.0;
@@ -325,9 +317,8 @@ mod tests {
     fn closed_edges_have_a_gradient_where_they_are_possible() {
         let scheduler_gradient = |physical: &Tensor| {
             let mut params = Params::new(Device::Cpu);
-            let scheduler =
-                CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.2, 0.0, 1.0);
-            let network = transformer(MaskMode::Hard);
+            let scheduler = CommGraph::new(params.root(&mut Seed::new(3).rng()), WIDTH, WIDTH, 0.0);
+            let network = transformer();
             let f = uniform(&[3, AGENTS, WIDTH], 5);
             // Far below zero: no edge is sampled, though the soft sample is slightly above 0.
             let noise = Tensor::full([3, AGENTS, AGENTS], -20.0, (Kind::Float, Device::Cpu));
@@ -358,7 +349,7 @@ mod tests {
     /// Leaving absent agents out of the layers changes nothing for the agents that are present.
     #[test]
     fn packed_agents_send_the_same_messages() {
-        let network = transformer(MaskMode::Hard);
+        let network = transformer();
         let mut present = Tensor::ones([3, AGENTS], (Kind::Float, Device::Cpu));
         let _ = present.get(0).get(2).fill_(0.0);
         let _ = present.get(2).narrow(0, 0, 2).fill_(0.0);

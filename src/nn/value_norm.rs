@@ -6,25 +6,21 @@
 
 use tch::{Kind, Tensor};
 
+/// Factor by which every batch multiplies the weight of the old statistics.
+const DECAY: f64 = 0.99999;
 const MIN_WEIGHT: f64 = 1e-5;
 const MIN_VARIANCE: f64 = 1e-2;
 
-/// Running mean and mean square of the returns, with a common debiasing weight.
-#[derive(Debug, Clone, Copy, PartialEq)]
+/// Running mean and mean square of the returns, with a common debiasing weight. The default has
+/// seen no returns: mean 0, standard deviation 0.1.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ValueNorm {
-    decay: f64,
     mean: f64,
     mean_square: f64,
     weight: f64,
 }
 
 impl ValueNorm {
-    /// Creates statistics that have seen no returns: mean 0, standard deviation 0.1. Every batch
-    /// multiplies the weight of the old statistics by `decay`.
-    pub fn new(decay: f64) -> Self {
-        ValueNorm { decay, mean: 0.0, mean_square: 0.0, weight: 0.0 }
-    }
-
     /// Adds a batch of returns of any shape to the statistics. The caller passes the returns of
     /// active agents only. An empty batch changes nothing.
     pub fn update(&mut self, returns: &Tensor) {
@@ -34,9 +30,9 @@ impl ValueNorm {
         let x = returns.detach().to_kind(Kind::Double);
         let (mean, mean_square) = (x.mean(Kind::Double), x.square().mean(Kind::Double));
         let (mean, mean_square) = (mean.double_value(&[]), mean_square.double_value(&[]));
-        self.mean = self.decay * self.mean + (1.0 - self.decay) * mean;
-        self.mean_square = self.decay * self.mean_square + (1.0 - self.decay) * mean_square;
-        self.weight = self.decay * self.weight + (1.0 - self.decay);
+        self.mean = DECAY * self.mean + (1.0 - DECAY) * mean;
+        self.mean_square = DECAY * self.mean_square + (1.0 - DECAY) * mean_square;
+        self.weight = DECAY * self.weight + (1.0 - DECAY);
     }
 
     /// Returns the debiased mean and standard deviation (at least 0.1) of the returns seen.
@@ -75,7 +71,7 @@ impl ValueNorm {
 
     /// Restores a state that [`ValueNorm::state`] returned.
     pub fn load_state(&mut self, [mean, mean_square, weight]: [f64; 3]) {
-        *self = ValueNorm { decay: self.decay, mean, mean_square, weight };
+        *self = ValueNorm { mean, mean_square, weight };
     }
 }
 
@@ -85,11 +81,11 @@ mod tests {
 
     #[test]
     fn starts_narrow_then_follows_the_returns() {
-        let mut norm = ValueNorm::new(0.99999);
+        let mut norm = ValueNorm::default();
         assert_eq!(norm.mean_std(), (0.0, 0.1));
         let x = Tensor::from_slice(&[2.0_f32, 6.0]);
         norm.update(&x.narrow(0, 0, 0));
-        assert_eq!(norm, ValueNorm::new(0.99999), "an empty batch");
+        assert_eq!(norm, ValueNorm::default(), "an empty batch");
         norm.update(&x);
         let (mean, std) = norm.mean_std();
         assert!((mean - 4.0).abs() < 1e-9 && (std - 2.0).abs() < 1e-9, "{mean} {std}");
@@ -102,8 +98,8 @@ mod tests {
             norm.denormalize(&rescaled).allclose(&x, 1e-6, 1e-6, false),
             "values keep their meaning"
         );
-        assert_eq!(norm.rescaling(&ValueNorm::new(0.99999)), None);
-        let mut restored = ValueNorm::new(0.99999);
+        assert_eq!(norm.rescaling(&ValueNorm::default()), None);
+        let mut restored = ValueNorm::default();
         restored.load_state(norm.state());
         assert_eq!(restored, norm);
     }

@@ -94,7 +94,7 @@ mod tests {
         let folder = folder(&[
             (
                 "first.toml",
-                "title = 'a'\n[settings]\nsteps = 1\n\"ppo.gamma\" = 0.9\nppo.clip_range = 0.2\n[grid]\nseed = [0, 1]",
+                "title = 'a'\n[settings]\nsteps = 1\n\"ppo.gamma\" = 0.9\nppo.gae_lambda = 0.2\n[grid]\nseed = [0, 1]",
             ),
             (
                 "second.toml",
@@ -106,7 +106,7 @@ mod tests {
             ),
         ]);
         let expected: Table =
-            "title = 'c'\nsettings = { steps = 1, 'ppo.gamma' = 0.8, 'ppo.clip_range' = 0.2 }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
+            "title = 'c'\nsettings = { steps = 1, 'ppo.gamma' = 0.8, 'ppo.gae_lambda' = 0.2 }\ngrid = { seed = [2], agents = [4] }\nskip = [{ when = {} }]"
                 .parse()
                 .unwrap();
         assert_eq!(resolved(&folder, "third.toml").unwrap(), expected);

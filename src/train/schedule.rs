@@ -6,9 +6,12 @@
 //! Annealing pauses while validations fail, unless the run would end before annealing is over.
 
 use crate::algo::UpdateParameters;
-use crate::algo::settings::NoiseMode;
+use crate::algo::settings::{Exploration, NoiseMode};
 use crate::checkpoint::Progress;
 use crate::config::Config;
+
+/// Number of validations that decide whether to stop (`train.stop_success`).
+const STOP_VALIDATIONS: usize = 4;
 
 /// Returns the parameters of the next update: learning rate, noise, discount and
 /// batch growth.
@@ -19,7 +22,7 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
     let (noise_share, rate_share) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
     let exploring = between(
         noise.log_std_start,
-        noise.log_std_explore,
+        Exploration::LOG_STD_EXPLORED,
         ramp(progress.step, noise.explore_steps),
     );
     let log_std = between(exploring, noise.log_std_end.min(exploring), noise_share);
@@ -65,7 +68,7 @@ pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
 pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) {
     let train = &config.train;
     progress.recent.push(success);
-    let old = progress.recent.len().saturating_sub(train.stop_validations as usize);
+    let old = progress.recent.len().saturating_sub(STOP_VALIDATIONS);
     progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
@@ -93,7 +96,7 @@ pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
 /// A policy whose success varies between validations thus does not end a run.
 pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
     let (train, recent) = (&config.train, &progress.recent);
-    let enough = recent.len() >= train.stop_validations as usize;
+    let enough = recent.len() >= STOP_VALIDATIONS;
     let good = recent.iter().all(|success| *success >= train.stop_success);
     train.stop_success > 0.0 && enough && good && annealed(config, progress)
 }
@@ -124,15 +127,11 @@ mod tests {
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
         config.steps = 1000;
         config.learner.exploration.explore_steps = 400;
-        (
-            config.learner.exploration.log_std_start,
-            config.learner.exploration.log_std_explore,
-            config.learner.exploration.log_std_end,
-        ) = (0.0, -1.0, -2.0);
+        (config.learner.exploration.log_std_start, config.learner.exploration.log_std_end) = (0.0, -2.0);
         (config.learner.ppo.learning_rate, config.learner.ppo.learning_rate_end) = (1e-3, 0.1);
         (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) =
             (0.9, 200, 50);
-        (config.train.stop_success, config.train.stop_validations) = (0.95, 2);
+        config.train.stop_success = 0.95;
         config
     }
 
@@ -215,7 +214,7 @@ mod tests {
         assert_eq!(
             (end.step, end.annealed),
             (550, 200),
-            "stops when annealing is over and the last two validations succeeded"
+            "stops when annealing is over and the last four validations succeeded"
         );
         let parameters = update_parameters(&config, &end);
         assert!((parameters.log_std + 2.0).abs() < 1e-12);
@@ -225,7 +224,7 @@ mod tests {
     #[test]
     fn a_policy_that_swings_is_not_solved() {
         let config = config();
-        let solved = |recent: [f64; 2]| {
+        let solved = |recent: [f64; 4]| {
             let progress = Progress {
                 recent: recent.into(),
                 annealed: 200,
@@ -234,10 +233,10 @@ mod tests {
             };
             super::solved(&config, &progress)
         };
-        assert!(solved([0.95, 1.0]));
+        assert!(solved([0.95, 1.0, 1.0, 1.0]));
         assert!(
-            !solved([1.0, 0.94]) && !solved([0.94, 1.0]),
-            "the mean of both would be good enough"
+            !solved([1.0, 1.0, 1.0, 0.94]) && !solved([0.94, 1.0, 1.0, 1.0]),
+            "the mean would be good enough"
         );
     }
 

@@ -4,7 +4,7 @@
 //! learning).
 //!
 //! 1. target: y = r + γ Q'(s', μ'(o')), from copies of both networks that follow slowly
-//!    (`soft_update`, τ = 0.005); here the target contains the rewards of ten steps
+//!    (`soft_update`); here the target contains the rewards of ten steps
 //!    (`maddpg.n_step`; as in D4PG, Barth-Maron et al. 2018), because at ten decisions per second
 //!    the effects of a decision come seconds later
 //! 2. policy: follows the critic's gradient with respect to the agent's own action; the other
@@ -40,6 +40,7 @@ use tch::{Device, Kind, Tensor, no_grad};
 use self::networks::{Actor, MaddpgNetworks};
 use self::replay_buffer::{ReplayBuffer, Transitions, View};
 use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
+use super::decoder::mean_squared_error;
 use super::device::act_on;
 use super::encoder::encode_locally;
 use super::head::NoiseMode;
@@ -47,7 +48,7 @@ use super::means::{Means, scalar};
 use super::parameters::{
     ACTOR, CRITIC, ParameterBuilder, Weights, load_value_norm, part, value_norm_entry,
 };
-use super::ppo::masked_mean;
+use super::ppo::{MAX_GRAD_NORM, masked_mean};
 use super::settings::Settings;
 use super::{
     Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses, Method,
@@ -58,8 +59,8 @@ use crate::nn::ValueNorm;
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
-/// Settings of MADDPG. Of the common settings, MADDPG reads learning rates, minibatch, discounts,
-/// value normalisation, largest gradient norm and averaging.
+/// Settings of MADDPG. Of the common settings, MADDPG reads learning rates, minibatch, discounts and
+/// averaging.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -80,17 +81,14 @@ pub struct MaddpgSettings {
     #[default = 10]
     #[schemars(range(min = 1, max = 1000))]
     pub n_step: usize,
-    /// Share τ of the distance to the trained networks by which target networks move after each
-    /// minibatch.
-    #[default = 0.005]
-    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
-    pub target_rate: f64,
-    /// Weight in the policy's loss of the squared mean actions before the tanh (Lowe et al., 2017:
-    /// 1e-3).
-    #[default = 1e-3]
-    #[schemars(extend("exclusiveMinimum" = 0))]
-    pub action_penalty: f64,
 }
+
+/// Share τ of the distance to the trained networks by which target networks move after each
+/// minibatch (marlbenchmark/off-policy).
+const TARGET_RATE: f64 = 0.005;
+/// Weight in the policy's loss of the squared mean actions before the tanh (code of Lowe et al.,
+/// 2017).
+const ACTION_PENALTY: f64 = 1e-3;
 
 /// Multi-agent deep deterministic policy gradient.
 pub(super) const MADDPG: Method =
@@ -152,7 +150,7 @@ impl Maddpg {
             weights: Weights::new(builder, settings.ppo.average > 0.0),
             targets,
             target_weights: Weights::new(following, false),
-            value_norm: ValueNorm::new(settings.ppo.value_norm_beta),
+            value_norm: ValueNorm::default(),
             replay: ReplayBuffer::new(settings.maddpg.replay, device),
         }
     }
@@ -206,8 +204,7 @@ impl Maddpg {
         let value = self.networks.critic.value(&seen, action, action, &before.comm);
         let value_loss = masked_mean(&(value - target).square(), active);
         value_loss.backward();
-        let mut report =
-            self.weights.step(CRITIC, self.settings.ppo.max_grad_norm, parameters.learning_rate)?;
+        let mut report = self.weights.step(CRITIC, MAX_GRAD_NORM, parameters.learning_rate)?;
 
         let f = self.networks.actor.embed(&before.observation);
         let unbounded = self.networks.actor.head().unbounded(&self.networks.actor.read(&f));
@@ -219,13 +216,13 @@ impl Maddpg {
         // Without a penalty, means that a wrong value has driven far beyond the bounds would stay
         // there, because the tanh passes no gradient.
         let far = masked_mean(&unbounded.square().mean_dim(-1, false, Kind::Float), active);
-        let mut total = policy_loss + self.settings.maddpg.action_penalty * far;
+        let mut total = policy_loss + ACTION_PENALTY * far;
         if let (Actor::Latent(policy), Some(message)) = (&self.networks.actor, message) {
             let iwol = &self.settings.iwol;
             let (z, _) = policy.read(&of_active(&f));
-            let world =
-                policy.world.error(&z, &of_active(&before.observation), &of_active(&before.state));
-            let interaction = policy.interaction.loss(&z, &of_active(&message.detach()));
+            let world = policy.world.error(&z, &of_active(&before.state));
+            let told = policy.interaction.forward(&z);
+            let interaction = mean_squared_error(&told, &of_active(&message.detach()));
             report.extend([
                 ("loss/world", scalar(&world)),
                 ("loss/interaction", scalar(&interaction)),
@@ -233,12 +230,8 @@ impl Maddpg {
             total = total + iwol.lambda_world * world + iwol.lambda_interaction * interaction;
         }
         total.backward();
-        report.extend(self.weights.step(
-            ACTOR,
-            self.settings.ppo.max_grad_norm,
-            parameters.learning_rate,
-        )?);
-        self.target_weights.follow(&self.weights, self.settings.maddpg.target_rate);
+        report.extend(self.weights.step(ACTOR, MAX_GRAD_NORM, parameters.learning_rate)?);
+        self.target_weights.follow(&self.weights, TARGET_RATE);
         Ok(report)
     }
 }
@@ -295,7 +288,7 @@ impl Algorithm for Maddpg {
         let all = no_grad(|| {
             let (z, _) = policy.read(&self.networks.actor.embed(&input.observation));
             let (_, messages) = self.networks.critic.look(&View::of(&input, &state), None);
-            policy.reconstruct(&z, &input, &state, messages)
+            policy.reconstruct(&z, &state, messages)
         });
         all.iter().map(|one| one.to(Device::Cpu)).collect()
     }

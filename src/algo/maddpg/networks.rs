@@ -1,8 +1,6 @@
 //! The networks of MADDPG: a policy on the agent's own observation, and a critic that reads all
 //! agents.
 
-use std::f64::consts::SQRT_2;
-
 use tch::{Kind, Tensor};
 
 use super::replay_buffer::View;
@@ -15,7 +13,7 @@ use crate::algo::scene::Scene;
 use crate::algo::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
-use crate::nn::{Attention, Init, LayerNorm, Linear, Reach};
+use crate::nn::{Activation, Attention, Init, Layer, Linear, Reach};
 
 /// A policy on the agent's own observation.
 pub(super) enum Actor {
@@ -86,11 +84,9 @@ pub(super) enum CriticInput {
 /// features and actions of the other agents.
 pub(super) struct Critic {
     input: CriticInput,
-    join: Linear,
-    join_norm: LayerNorm,
+    join: Layer,
     attention: Attention,
-    deep: Linear,
-    deep_norm: LayerNorm,
+    deep: Layer,
     pub(super) value: Linear,
 }
 
@@ -102,8 +98,8 @@ impl Critic {
         iwol: bool,
     ) -> Self {
         let (network, hidden) = (&settings.network, settings.network.hidden);
-        let root = |builder: &mut ParameterBuilder, name: &str, inputs: i64| {
-            Linear::new(builder.of(CRITIC).sub(name), inputs, hidden, Init::Orthogonal(SQRT_2))
+        let layer = |builder: &mut ParameterBuilder, names: [&str; 2], inputs: i64| {
+            Layer::new(&mut builder.of(CRITIC), names, inputs, hidden, Activation::Relu)
         };
         let (input, seen) = if iwol {
             let trunk = MessageTrunk::new(
@@ -126,8 +122,7 @@ impl Critic {
         };
         Self {
             input,
-            join: root(builder, "join", seen + spec.actions.len() as i64),
-            join_norm: LayerNorm::new(builder.of(CRITIC).sub("join_norm"), hidden),
+            join: layer(builder, ["join", "join_norm"], seen + spec.actions.len() as i64),
             attention: Attention::new(
                 builder.of(CRITIC).sub("others"),
                 hidden,
@@ -135,8 +130,7 @@ impl Critic {
                 Init::Orthogonal(1.0),
                 false,
             ),
-            deep: root(builder, "deep", 2 * hidden),
-            deep_norm: LayerNorm::new(builder.of(CRITIC).sub("deep_norm"), hidden),
+            deep: layer(builder, ["deep", "deep_norm"], 2 * hidden),
             value: Linear::new(builder.of(CRITIC).sub("value"), hidden, 1, Init::Orthogonal(1.0)),
         }
     }
@@ -182,9 +176,7 @@ impl Critic {
         comm: &Tensor,
     ) -> Tensor {
         let agents = comm.size()[1];
-        let together = |act: &Tensor| {
-            self.join_norm.forward(&self.join.forward(&Tensor::cat(&[seen, act], -1)).relu())
-        };
+        let together = |act: &Tensor| self.join.forward(&Tensor::cat(&[seen, act], -1));
         let (own, others) = (together(action), together(done));
         // The first key belongs to no agent, so that an agent alone has something to attend to.
         let others = others.constant_pad_nd([0, 0, 1, 0]);
@@ -198,8 +190,8 @@ impl Critic {
             &Reach::of(&reached),
             None,
         );
-        let x = self.deep.forward(&Tensor::cat(&[own, attended], -1)).relu();
-        self.value.forward(&self.deep_norm.forward(&x)).squeeze_dim(-1)
+        let x = self.deep.forward(&Tensor::cat(&[own, attended], -1));
+        self.value.forward(&x).squeeze_dim(-1)
     }
 }
 

@@ -202,7 +202,6 @@ fn reference(
         ("hidden", config.learner.network.hidden),
         ("message", config.learner.iwol.message),
         ("rounds", config.learner.iwol.rounds as i64),
-        ("heads", config.learner.iwol.heads),
         ("latent", config.learner.iwol.latent),
         ("epochs", config.learner.ppo.epochs as i64),
         ("minibatch", config.learner.ppo.minibatch as i64),
@@ -215,7 +214,6 @@ fn reference(
         network: Network { hidden: config.learner.network.hidden, ..Network::default() },
         iwol: Iwol {
             rounds: config.learner.iwol.rounds,
-            heads: config.learner.iwol.heads,
             latent: config.learner.iwol.latent,
             message: config.learner.iwol.message,
             decoded: config.learner.iwol.decoded,
@@ -225,7 +223,7 @@ fn reference(
     };
     ensure!(
         usual == config.learner && config.device == ComputeDevice::Cpu,
-        "the reference supports only network.hidden, iwol.{{rounds,heads,latent,message,decoded}} and the sizes of a rollout; leave \
+        "the reference supports only network.hidden, iwol.{{rounds,latent,message,decoded}} and the sizes of a rollout; leave \
          all other settings at their defaults"
     );
     let mut program = Program::new(python);

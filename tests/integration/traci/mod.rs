@@ -2,6 +2,8 @@
 
 mod batches;
 mod calls;
+mod client;
+mod connections;
 mod json;
 mod python_client;
 mod sessions;

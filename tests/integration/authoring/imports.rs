@@ -1,0 +1,126 @@
+//! Scenarios from maps and from generated nets.
+
+use std::fs;
+use std::path::Path;
+
+use iwol_sumo::inspect::Trial;
+use iwol_sumo::rng::Seed;
+use iwol_sumo::scenario::Scenario;
+use iwol_sumo::scenario::author::{Error, Map, State, build};
+use iwol_sumo::sumo::Hosting;
+
+use super::{errors, import, run};
+use crate::support::folder;
+
+/// A crossing of two streets in OpenStreetMap's XML, with a footway.
+const OSM: &str = r#"<osm version="0.6"><bounds minlat="52.0" minlon="13.0" maxlat="52.01" maxlon="13.01"/>
+<node id="1" lat="52.0050" lon="13.0000"/><node id="2" lat="52.0050" lon="13.0050"/><node id="3" lat="52.0050" lon="13.0100"/>
+<node id="4" lat="52.0000" lon="13.0050"/><node id="5" lat="52.0100" lon="13.0050"/><node id="6" lat="52.0060" lon="13.0060"/>
+<way id="10"><nd ref="1"/><nd ref="2"/><nd ref="3"/><tag k="highway" v="residential"/></way>
+<way id="11"><nd ref="4"/><nd ref="2"/><nd ref="5"/><tag k="highway" v="residential"/></way>
+<way id="12"><nd ref="2"/><nd ref="6"/><tag k="highway" v="footway"/></way></osm>"#;
+
+#[test]
+fn a_map_becomes_a_scenario_that_runs() {
+    let folder = folder();
+    fs::write(folder.path().join("map.osm"), OSM).unwrap();
+    let map = folder.path().join("map.osm");
+    let imported = import(folder.path(), "town", Map::Osm(&map), None, 8, false).unwrap();
+    let first = &imported.candidates[0];
+    assert_eq!(
+        (first.junction.as_str(), first.arms, first.routes),
+        ("2", 4, 12),
+        "{:?}",
+        imported.candidates
+    );
+    let checked = Scenario::check(&imported.scenario);
+    assert!(errors(&checked.list).is_empty(), "{:?}", checked.list);
+    let scenario = checked.scenario.unwrap();
+    assert_eq!(scenario.agents.max, first.places);
+    Trial::run(&scenario, 8, 50, Seed::new(0), &Hosting::default()).unwrap();
+    assert_eq!(build(&imported.scenario, false).unwrap()[0].before, State::UpToDate);
+}
+
+#[test]
+fn generated_nets_are_imported() {
+    let folder = folder();
+    let kinds: [(&str, &[&str]); 3] = [
+        ("grid", &["--grid", "--grid.number", "3", "--default.lanenumber", "2"]),
+        ("spider", &["--spider", "--spider.arm-number", "5"]),
+        ("rand", &["--rand", "--rand.iterations", "40", "--seed", "3"]),
+    ];
+    for (name, arguments) in kinds {
+        let file = format!("{name}.net.xml");
+        run("netgenerate", &[arguments, &["-o", &file]].concat(), folder.path()).unwrap();
+        let imported =
+            import(folder.path(), name, Map::Net(&folder.path().join(&file)), None, 8, false)
+                .unwrap();
+        let checked = Scenario::check(&imported.scenario);
+        assert!(errors(&checked.list).is_empty(), "{name}: {:?}", checked.list);
+        let scenario = checked.scenario.unwrap();
+        Trial::run(&scenario, scenario.agents.default, 50, Seed::new(0), &Hosting::default())
+            .unwrap();
+    }
+    // A junction other than the first one, and an id that is not a junction.
+    let net = folder.path().join("grid.net.xml");
+    let other = import(folder.path(), "other", Map::Net(&net), Some("B0"), 8, false).unwrap();
+    assert_eq!(other.candidates[0].junction, "B0");
+    let error = import(folder.path(), "none", Map::Net(&net), Some("Z9"), 8, false).unwrap_err();
+    assert!(error.to_string().contains("the net has no junction `Z9`"), "{error}");
+    assert!(!folder.path().join("sumo_nets/none").exists());
+}
+
+#[test]
+fn maps_without_a_site_are_refused() {
+    let folder = folder();
+    let no_road = OSM.replace("residential", "footway");
+    let file = |name: &str, text: &str| {
+        fs::write(folder.path().join(name), text).unwrap();
+        folder.path().join(name)
+    };
+    // Two roads end to end, on which vehicles from opposite directions only pass each other.
+    let nodes = r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="100" y="0"/><node id="c" x="200" y="0"/></nodes>"#;
+    let edge =
+        |from: char, to: char| format!("<edge id=\"{from}{to}\" from=\"{from}\" to=\"{to}\"/>");
+    let edges = format!(
+        "<edges>{}{}{}{}</edges>",
+        edge('a', 'b'),
+        edge('b', 'c'),
+        edge('c', 'b'),
+        edge('b', 'a')
+    );
+    file("x.nod.xml", nodes);
+    file("x.edg.xml", &edges);
+    run("netconvert", &["-n", "x.nod.xml", "-e", "x.edg.xml", "-o", "x.net.xml"], folder.path())
+        .unwrap();
+    let error =
+        import(folder.path(), "road", Map::Net(&folder.path().join("x.net.xml")), None, 8, false)
+            .unwrap_err();
+    assert!(error.to_string().contains("x.net.xml`: the map has no junction where"), "{error}");
+    assert!(error.hint().unwrap().contains("take a map that contains a junction"), "{error}");
+    let paths = file("paths.osm", &no_road);
+    let error = import(folder.path(), "paths", Map::Osm(&paths), None, 8, false).unwrap_err();
+    let said = error.to_string();
+    assert!(said.contains("paths.osm`: ") && said.contains("No edges loaded"), "{said}");
+    assert!(error.hint().unwrap().contains("streets for cars"), "{error}");
+    let single = file(
+        "single.osm",
+        &OSM.replace("way id=\"11\"><nd ref=\"4\"/>", "way id=\"11\">")
+            .replace("<nd ref=\"2\"/><nd ref=\"5\"/>", ""),
+    );
+    let error = import(folder.path(), "single", Map::Osm(&single), None, 8, false).unwrap_err();
+    assert!(error.to_string().contains("no roads for cars that lead to others"), "{error}");
+    let broken = file("broken.osm", "<osm><node id='1'");
+    let error = import(folder.path(), "broken", Map::Osm(&broken), None, 8, false).unwrap_err();
+    assert!(matches!(error, Error::Map { .. }), "{error}");
+    let error = import(folder.path(), "net", Map::Net(&broken), None, 8, false).unwrap_err();
+    assert!(matches!(error, Error::Net(_)), "{error}");
+    let error = import(folder.path(), "gone", Map::Osm(Path::new("/nowhere.osm")), None, 8, false)
+        .unwrap_err();
+    assert!(error.to_string().contains("/nowhere.osm"), "{error}");
+    assert_eq!(
+        fs::read_dir(folder.path().join("sumo_nets")).unwrap().count(),
+        0,
+        "nothing is left behind"
+    );
+}
