@@ -295,7 +295,7 @@ impl Asked {
                 }
                 Order::Depart { slot, departure, .. } => {
                     let others = config.others.as_ref().unwrap();
-                    let Departure::Drive { route, lane, pos, speed } =
+                    let Departure::Drive { route, lane, pos, speed, .. } =
                         &others.departures[*departure as usize]
                     else {
                         panic!("nobody walks")
