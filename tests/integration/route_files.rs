@@ -52,8 +52,8 @@ fn vehicles_depart_and_stop_where_the_file_says() {
              <vehicle id=\"v\" depart=\"07:00:00.5\" departEdge=\"1\" departPos=\"6\" speedFactor=\"1\" route=\"r\">{stop}</vehicle>"
         ),
     );
-    let mut backends = vec![Backend::Traci];
-    backends.extend(iwol_sumo::sumo::available().filter(|backend| *backend != Backend::Traci));
+    let mut backends = vec![Backend::Traci, Backend::Libsumo];
+    backends.retain(|backend| iwol_sumo::sumo::usable(*backend).is_ok());
     let mut all = backends.into_iter().map(|backend| watch(&path, 150, backend));
     let seen = all.next().expect("over TraCI");
     assert!(all.all(|other| other == seen), "the backends have the same bits");
