@@ -166,8 +166,7 @@ fn damaged_checkpoints_are_refused() {
 
     // The scenario of the run is a file like any other.
     let whole = run.join("scenario.xml");
-    let checked = succeeds(iwol(&["scenario", "check", "--steps", "0"]).arg(&whole));
-    assert!(text(&checked.stdout).contains("0 errors"), "{}", text(&checked.stdout));
+    iwol_sumo::scenario::Scenario::load(&whole).expect("a scenario whose nets are found");
     let output = succeeds(
         iwol(&["evaluate", "--episodes", "2", "--seed", "3", "--agents", "6", "--json"])
             .arg(&run)
