@@ -361,14 +361,21 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
     run(Path::new("python3"), &trips.split(' ').collect::<Vec<_>>(), at);
     let text = fs::read_to_string(at.join("x.rou.xml")).unwrap();
     let text = text.replace("<vehicle ", "<vehicle departLane=\"random\" departSpeed=\"max\" ");
-    fs::write(at.join("x.rou.xml"), &text).unwrap();
-    // The agents take the first routes of the file that can be driven without a change of lanes.
+    // Vehicles keep to the routes that can be driven without a change of lanes; the agents take the
+    // first of them.
     let net = Net::load(&at.join("x.net.xml")).unwrap();
     let edges = text.split("edges=\"").skip(1).filter_map(|rest| rest.split('"').next());
     let fits = |edges: &&str| {
         let edges: Vec<String> = edges.split(' ').map(String::from).collect();
         net.route_path(&edges).is_ok_and(|path| path.edge_length[0] > 40.0)
     };
+    let vehicles = text.split_inclusive("</vehicle>").filter_map(|part| {
+        let from = part.find("<vehicle ")?;
+        let edges = part.split("edges=\"").nth(1)?.split('"').next()?;
+        fits(&edges).then(|| &part[from..])
+    });
+    let vehicles: String = vehicles.collect();
+    fs::write(at.join("x.rou.xml"), format!("<routes>{vehicles}</routes>")).unwrap();
     let mut taken: Vec<&str> = Vec::new();
     for edges in edges.filter(fits) {
         let first = edges.split(' ').next();

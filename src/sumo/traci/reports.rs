@@ -42,12 +42,15 @@ struct Row {
     speed: Option<f64>,
     position: Option<[f64; 2]>,
     angle: Option<f64>,
-    /// The lane, if the net has one of the reported id.
-    lane: Option<Option<u32>>,
+    lane: Option<ReportedLane>,
     time_loss: Option<f64>,
     /// Whether SUMO reports that it does not know the object.
     gone: bool,
 }
+
+/// A reported lane as an index into the net's lanes, if the net has a lane of the reported id.
+#[derive(Debug)]
+struct ReportedLane(Option<u32>);
 
 impl<'a> StepSink<'a> {
     pub(in crate::sumo) fn new(fleet: &'a mut Fleet) -> Self {
@@ -79,7 +82,7 @@ impl Sink for StepSink<'_> {
             SPEED => self.row.speed = Some(finite(value)?),
             POSITION => self.row.position = Some(finite_point(value)?),
             ANGLE => self.row.angle = Some(finite(value)?),
-            LANE => self.row.lane = Some(self.fleet.lane(value.string()?)),
+            LANE => self.row.lane = Some(ReportedLane(self.fleet.lane(value.string()?))),
             TIME_LOSS => self.row.time_loss = Some(finite(value)?),
             _ => drop(read_value(report.response, report.variable, value)?),
         }
@@ -106,7 +109,7 @@ impl Sink for StepSink<'_> {
             self.fleet.report(vehicle, distance, speed);
             if self.fleet.config().others.is_some() {
                 let time_loss = row.time_loss.ok_or_else(lacks("the variable `time loss`"))?;
-                let lane = row.lane.ok_or_else(lacks("the variable `lane`"))?;
+                let ReportedLane(lane) = row.lane.ok_or_else(lacks("the variable `lane`"))?;
                 self.fleet.body(vehicle, position()?, angle()?, lane, time_loss);
             }
         }
