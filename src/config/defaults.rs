@@ -5,8 +5,8 @@ use super::Config;
 use super::presets::STEERING;
 use super::values::{Origin, Values};
 use crate::algo;
-use crate::scenario::ScenarioFile;
 use crate::algo::settings::Exploration;
+use crate::scenario::ScenarioFile;
 
 impl Values {
     /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a

@@ -181,7 +181,10 @@ impl Trial {
             findings.push(finding(
                 Severity::Error,
                 "lost-vehicles",
-                format!("SUMO lost vehicles in {}: they left its roads before they arrived", counted(self.lost, "episode")),
+                format!(
+                    "SUMO lost vehicles in {}: they left its roads before they arrived",
+                    counted(self.lost, "episode")
+                ),
                 "look at the last edges of the routes and at arrivalPos",
             ));
         }
