@@ -35,7 +35,7 @@ SUMOS ?= debian 1.20.0 newest
 
 matrix: ## compare trainings, the TraCI client and libsumo on several releases of SUMO
 	@scripts/bootstrap
-	$(CARGO) build --locked --features "$(FEATURES)" --bin iwol
+	$(CARGO) build --locked --profile test --features "$(FEATURES)" --bin iwol
 	scripts/matrix $(SUMOS)
 
 lint: bootstrap check-client ## check formatting, clippy's lints and the documentation; a warning is an error
