@@ -349,6 +349,7 @@ impl Asked {
 /// on a generated net.
 fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
     const RANGE: f64 = 40.0;
+    const LENGTH: f64 = 4.515;
     let folder = folder();
     let at = folder.path();
     let number = seed.to_string();
@@ -396,7 +397,7 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
     let mut world = World::new(Arc::clone(&task), Driver::Sumo, Seed::new(1), 0, 1, 1);
     world.reset(0);
     let mut commands = Vec::new();
-    for _ in 0..600 {
+    for _ in 0..400 {
         commands.clear();
         world.act(0, &vec![0.0; task.agents], &mut commands);
         let snapshot = asked.step(&task, &commands);
@@ -421,12 +422,30 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
                 let lane = snapshot.bodies[id.parse::<usize>().unwrap()].unwrap().lane;
                 lane.map(|lane| lane as usize)
             };
+            // The least distance that a body can have whose front is this far away.
+            let beeline = |id: &str| {
+                let body = |k: usize| snapshot.bodies[k].unwrap();
+                let (own, other) = (body(i), body(id.parse().unwrap()));
+                (own.x - other.x).hypot(own.y - other.y) - LENGTH
+            };
+            // Whether the front of a vehicle is on its lane and the centre not yet.
+            let comes_in = |id: &str| {
+                let body = snapshot.bodies[id.parse::<usize>().unwrap()].unwrap();
+                let [x, y] = net.lanes[lane(id).unwrap()].shape[0];
+                (body.x - x).hypot(body.y - y) < LENGTH / 2.0 + 0.5
+            };
             let path = &task.map.routes[agent.route].path;
             let reason = match (ours, &theirs) {
                 (None, None) => "both see nobody",
                 (Some(a), Some((_, b))) if (a - b).abs() < 1.5 => "the same leader",
                 (_, Some((id, _))) if !lane(id).is_some_and(|lane| path.lanes.contains(&lane)) => {
                     "SUMO's is on a lane that is not the agent's: it crosses, merges or has turned off"
+                }
+                (_, Some((id, gap))) if *gap < beeline(id) - 1.0 => {
+                    "SUMO's is still crossing, and its gap is the one to the crossing"
+                }
+                (_, Some((id, _))) if comes_in(id) => {
+                    "SUMO's merges: its front is on the agent's lane, its centre not yet"
                 }
                 (Some(a), b) if b.as_ref().is_none_or(|(_, b)| a < *b) => {
                     "ours has not quite left the agent's path behind a fork, or is about to merge"
@@ -435,7 +454,10 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
             };
             *counts.entry(reason.into()).or_default() += 1;
             if reason == "no known reason" {
-                eprintln!("agent {i} at {} m: ours {ours:?}, SUMO's {theirs:?}", agent.position);
+                let more = theirs.as_ref().map(|(id, _)| (lane(id), beeline(id)));
+                let lanes = &path.lanes;
+                let at = agent.position;
+                eprintln!("agent {i} at {at} m of {lanes:?}: {ours:?}, SUMO's {theirs:?} {more:?}");
             }
         }
     }
