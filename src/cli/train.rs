@@ -99,7 +99,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
-    let learners = scenario.traffic.learners(config.agents);
+    let learners = scenario.slots(config.agents);
     let vehicles = if learners < config.agents {
         format!("{} vehicles, of which {learners} learn", config.agents)
     } else {

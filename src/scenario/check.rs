@@ -3,7 +3,8 @@
 
 use roxmltree::Node;
 
-use super::{Demand, Error, Net, Place, Route, Scenario, reader::Reader};
+use super::model::ALL;
+use super::{Demand, Error, Net, Place, Route, Scenario, Source, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -91,7 +92,49 @@ fn demand(scenario: &Scenario, reader: &Reader) -> Result<Demand, Error> {
             return Err(refuse("type", kind, allowed.into()));
         }
     }
+    agents(scenario, &demand, reader)?;
     Ok(demand)
+}
+
+/// Checks that the route files contain the vehicles and types that are agents.
+fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), Error> {
+    let refuse = |key, value: &str, allowed: String| {
+        Err(Error::value(reader.place_in("agents", key), "agents", key, value, allowed))
+    };
+    let walks = |mix: &[(usize, f64)]| mix.iter().any(|entry| demand.types[entry.0].walks);
+    let vehicles = || demand.sources.iter().filter(|source| !walks(&source.types));
+    for id in &scenario.agents.types {
+        if demand.mix(id).is_none_or(|mix| walks(&mix)) {
+            let known = demand.types.iter().filter(|kind| !kind.walks);
+            let similar = did_you_mean(nearest(id, known.map(|kind| kind.id.as_str())));
+            let allowed = "ids of vTypes or vTypeDistributions of vehicles in the files";
+            return refuse("types", id, format!("{allowed}{similar}"));
+        }
+    }
+    for id in scenario.agents.vehicles.iter().filter(|id| *id != ALL) {
+        if !vehicles().any(|source| source.id == *id) {
+            let similar = did_you_mean(nearest(id, vehicles().map(|source| source.id.as_str())));
+            let allowed = "ids of vehicles, trips and flows of vehicles in the files, or *";
+            return refuse("vehicles", id, format!("{allowed}{similar}"));
+        }
+    }
+    if !scenario.agents.come_from_files() {
+        return Ok(());
+    }
+    let key = if scenario.agents.types.is_empty() { "vehicles" } else { "types" };
+    let includes = |source: &Source| {
+        source.types.iter().any(|entry| scenario.agents.includes(demand, source, entry.0))
+    };
+    if !demand.sources.iter().any(includes) {
+        let named = scenario.agents.types.join(" ");
+        return refuse(key, &named, "types that vehicles or flows of the files have".into());
+    }
+    if scenario.control.steering.is_some() {
+        let node = reader.all("agents").next();
+        let value = node.and_then(|node| node.attribute(key)).unwrap_or_default();
+        return refuse(key, value, "no value unless <control> has the mode `throttle`".into());
+    }
+    Ok(())
 }
 
 /// Returns an error for the first route or walk of the route files that the net does not allow.

@@ -57,7 +57,8 @@ impl Scenario {
         Reader { path, document: &document(text, path)? }.scenario()
     }
 
-    /// Returns the smallest net with a spawn place for each of `agents` agents.
+    /// Returns the smallest net with a spawn place for each of `agents` agents, or for as many as
+    /// the largest net has places if further agents come from route files.
     ///
     /// # Errors
     /// [`Error::Agents`] if the scenario does not accept this number.
@@ -68,7 +69,8 @@ impl Scenario {
             return Err(refuse(max));
         }
         let largest = self.nets.iter().map(Net::capacity).max().unwrap_or(0);
-        let large_enough = self.nets.iter().filter(|net| net.capacity() >= agents);
+        let placed = if self.agents.come_from_files() { agents.min(largest) } else { agents };
+        let large_enough = self.nets.iter().filter(|net| net.capacity() >= placed);
         large_enough.min_by_key(|net| net.capacity()).ok_or_else(|| refuse(largest))
     }
 }
@@ -126,9 +128,28 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
     let range = AgentRange::read(&element, "")?;
     let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
     let refuse = |key, allowed: String| Err(element.reader.value(element.node, key, allowed));
-    if range.max < range.min || range.max > largest {
+    let from_files = range.come_from_files();
+    if from_files && !root.child("traffic").is_some_and(|t| t.attribute("files").is_some()) {
+        let key = if range.types.is_empty() { "vehicles" } else { "types" };
+        return refuse(key, "no value unless <traffic> has the attribute `files`".into());
+    }
+    if !from_files && largest == 0 {
+        let net = require(root, "nets")?.children("net").next();
+        let error = net.map(|net| net.reader.missing(net.node, "element", "spawn"));
+        let hint = "add spawn places, or name vehicles of route files in the attribute types or vehicles of <agents>";
+        return Err(error.map_or_else(
+            || root.reader.missing(root.node, "element", "nets"),
+            |error| error.hinted(hint),
+        ));
+    }
+    if let (0, Some(second)) = (largest, require(root, "nets")?.children("net").nth(1)) {
+        let message = "a second net without spawn places: the number of places chooses the net";
+        return Err(second.reader.invalid(second.node.range().start, message.into()));
+    }
+    if range.max < range.min || (range.max > largest && !from_files) {
         let places = "the number of places of the largest net";
-        return refuse("max", format!("{} to {largest}, {places}", range.min));
+        let most = if from_files { "more".into() } else { format!("{largest}, {places}") };
+        return refuse("max", format!("{} to {most}", range.min));
     }
     if !(range.min..=range.max).contains(&range.default) {
         return refuse("default", format!("whole number from {} to {}", range.min, range.max));
@@ -138,7 +159,7 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
 
 fn routes(root: &Element) -> Result<Vec<Route>, Error> {
     let (mut routes, mut ids) = (Vec::new(), HashSet::new());
-    for element in require(root, "routes")?.children("route") {
+    for element in root.child("routes").iter().flat_map(|routes| routes.children("route")) {
         let route = Route::read(&element, "")?;
         let special = |c: char| c.is_whitespace() || "|\\'\";,<>&".contains(c);
         if route.id.is_empty() || route.id.chars().any(special) {

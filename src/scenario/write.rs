@@ -21,9 +21,11 @@ impl Scenario {
             .element("description", &self.description);
         let root = &mut Tag::new(&mut xml, describe());
         root.fields("agents", &self.agents);
-        root.element("routes", |tag| {
-            self.routes.iter().for_each(|route| tag.fields("route", route));
-        });
+        if !self.routes.is_empty() {
+            root.element("routes", |tag| {
+                self.routes.iter().for_each(|route| tag.fields("route", route));
+            });
+        }
         root.element("nets", |tag| {
             for net in &self.nets {
                 tag.element("net", |tag| {

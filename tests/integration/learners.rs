@@ -78,7 +78,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
     Observation {
         observation: x,
         comm,
-        start: Tensor::zeros([e], (Kind::Float, Device::Cpu)),
+        start: Tensor::zeros([e, n], (Kind::Float, Device::Cpu)),
         memory,
     }
 }
@@ -226,12 +226,17 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
         for i in 0..agents {
             let mut alive = true;
             for t in 0..=sizes.steps {
-                // A new episode begins in the whole environment at step 8.
-                if t == 8 {
-                    alive = true;
-                    rollout.start[t * sizes.envs + e] = 1.0;
-                }
                 let at = (t * sizes.envs + e) * agents + i;
+                // A new episode begins in the whole environment at step 8. Before and after that,
+                // a new agent may come into a slot that was empty for a step.
+                let comes = t > 0
+                    && !alive
+                    && rollout.active[at - sizes.envs * agents] == 0.0
+                    && rng::below(&mut rng, 3) == 0;
+                if t == 8 || comes {
+                    alive = true;
+                    rollout.start[at] = 1.0;
+                }
                 rollout.active[at] = f32::from(u8::from(alive));
                 if t < sizes.steps && alive && (rng::below(&mut rng, 6) == 0 || t == 7) {
                     rollout.terminated[at] = 1.0;
@@ -481,7 +486,7 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let input = Observation {
             observation: part(&rollout.observation, s.observation),
             comm: part(&rollout.comm, s.agents),
-            start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+            start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
         };
         let graph = if s.graphs > 0 {
@@ -862,7 +867,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
     rollout.active.fill(1.0);
     rollout.comm.fill(1.0);
     for t in (0..=sizes.steps).step_by(game.steps()) {
-        rollout.start[t * e..(t + 1) * e].fill(1.0);
+        let cell = rollout.at(t, 1);
+        rollout.start[cell].fill(1.0);
     }
     for t in (game.steps() - 1..sizes.steps).step_by(game.steps()) {
         let cell = rollout.at(t, 1);
@@ -901,7 +907,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             let input = Observation {
                 observation: shaped(x, o),
                 comm: Tensor::ones([e as i64, n as i64, n as i64], (Kind::Float, Device::Cpu)),
-                start: Tensor::from_slice(&rollout.start[t * e..(t + 1) * e]),
+                start: shaped(&rollout.start[rollout.at(t, 1)], 1).squeeze_dim(-1),
                 memory: shaped(&memory, sizes.memory),
             };
             let graph = if learner.graphs() > 0 {

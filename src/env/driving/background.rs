@@ -1,8 +1,10 @@
 //! Background traffic: the vehicles that SUMO drives, and pedestrians. This module decides when
-//! they depart, reads where they are, and turns them into wrecks after collisions.
+//! the vehicles of the route files depart and which of them are agents, reads where background
+//! traffic is, and turns its vehicles into wrecks after collisions.
 //!
 //! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
-//! spawn places, then those of the route files, as many as the scenario's capacity allows. A
+//! spawn places, then those of the route files, as many as the scenario's capacity allows. Agents
+//! from route files get free slots among the agents'. A
 //! background vehicle that collides with an agent or a wreck becomes a wreck itself, for as long
 //! as an agent's wreck. Collisions of background vehicles with each other are left to SUMO.
 
@@ -13,10 +15,11 @@ use super::collisions::Collisions;
 use super::effects::Effects;
 use super::geometry::Pose;
 use super::metrics::BackgroundMetrics;
-use super::motion::NO_CHECKS;
-use super::task::Task;
+use super::motion::{NO_CHECKS, SUMO_CHECKS};
+use super::task::{Driver, Task};
+use super::trips::Departure;
 use crate::rng::{Rng, Seed};
-use crate::scenario::Spacing;
+use crate::scenario::{Source, Spacing};
 use crate::sumo::{Command, Snapshot};
 
 /// Departure times of a vehicle or flow of the route files.
@@ -27,6 +30,47 @@ struct Clock {
     next: f64,
     /// Number of departures left.
     left: u64,
+    /// The vehicle that departs next, once it is drawn.
+    upcoming: Option<Upcoming>,
+    /// Source of the decisions which vehicles are agents.
+    roles: Rng,
+}
+
+/// A vehicle that departs next.
+#[derive(Debug, Clone, Copy)]
+struct Upcoming {
+    /// Index of its type in the route files.
+    kind: usize,
+    is_agent: bool,
+}
+
+impl Clock {
+    /// Whether a vehicle of `source` is to depart `now` seconds after the start of the episode.
+    fn is_due(&self, source: &Source, now: f64) -> bool {
+        // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums are
+        // rounded.
+        self.left > 0 && self.next <= now + 5e-4 && self.next < source.end
+    }
+
+    /// Returns the vehicle that departs next, of source number `index` of the route files.
+    fn upcoming(&mut self, task: &Task, index: usize) -> Upcoming {
+        *self.upcoming.get_or_insert_with(|| {
+            let kind = draw(&task.demand.sources[index].types, &mut self.rng);
+            let share = task.scenario.traffic.penetration;
+            let is_agent = task.recruits.get(index).is_some_and(|recruits| recruits[kind])
+                && (share >= 1.0 || self.roles.random::<f64>() < share);
+            Upcoming { kind, is_agent }
+        })
+    }
+
+    /// Goes on to the next departure. Returns the time at which the last one was due \[s\].
+    fn advance(&mut self, source: &Source) -> f64 {
+        let due = self.next;
+        self.next += gap(source.spacing, &mut self.rng);
+        self.left -= 1;
+        self.upcoming = None;
+        due
+    }
 }
 
 /// The background traffic of an episode. Its slots are given to the methods as a slice without
@@ -44,10 +88,12 @@ impl Background {
     }
 
     /// Begins a new episode: empties the slots and adds the vehicles that start at spawn places,
-    /// given as route and position of the centre \[m\].
+    /// given as route and position of the centre \[m\]. `slots` are those of the agents and of the
+    /// background traffic.
     pub(super) fn spawn(
         &mut self,
         task: &Task,
+        driver: Driver,
         world: u32,
         seed: Seed,
         places: &[(usize, f64)],
@@ -62,16 +108,18 @@ impl Background {
             if !matches!(source.spacing, Spacing::Equal(_)) {
                 next += gap(source.spacing, &mut rng);
             }
-            self.clocks.push(Clock { rng, next, left: source.number });
+            let roles = seed.child("agents").index(index as u64).rng();
+            self.clocks.push(Clock { rng, next, left: source.number, upcoming: None, roles });
         }
         let mut rng = seed.child("places").rng();
-        for (slot, i) in slots.iter_mut().zip(task.agents as u32..) {
+        let others = &mut slots[task.agents..];
+        for (slot, i) in others.iter_mut().zip(task.agents as u32..) {
             if slot.added {
                 commands.push(Command::Remove { world, slot: i });
             }
             *slot = Slot::default();
         }
-        for ((slot, i), &(route, s)) in slots.iter_mut().zip(task.agents as u32..).zip(places) {
+        for ((slot, i), &(route, s)) in others.iter_mut().zip(task.agents as u32..).zip(places) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
             *slot = Slot { route, size, added: true, ..Slot::default() };
             commands.push(Command::Add {
@@ -83,19 +131,21 @@ impl Background {
                 depart_speed: 0.0,
             });
         }
-        self.let_depart(task, world, 0.0, slots, commands);
+        self.let_depart(task, driver, world, 0.0, slots, commands);
     }
 
     /// Appends the commands of the coming exchange, `now` seconds after the start of the episode.
+    /// `slots` are those of the agents and of the background traffic.
     pub(super) fn act(
         &mut self,
         task: &Task,
+        driver: Driver,
         world: u32,
         now: f64,
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
-        for (i, slot) in slots.iter_mut().enumerate() {
+        for (i, slot) in slots[task.agents..].iter_mut().enumerate() {
             if slot.status != Status::Wreck {
                 continue;
             }
@@ -112,7 +162,7 @@ impl Background {
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
-        self.let_depart(task, world, now, slots, commands);
+        self.let_depart(task, driver, world, now, slots, commands);
     }
 
     /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
@@ -120,6 +170,7 @@ impl Background {
     fn let_depart(
         &mut self,
         task: &Task,
+        driver: Driver,
         world: u32,
         now: f64,
         slots: &mut [Slot],
@@ -127,27 +178,60 @@ impl Background {
     ) {
         let sources = task.demand.sources.iter().zip(&mut self.clocks).enumerate();
         for (index, (source, clock)) in sources {
-            // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums
-            // are rounded.
-            while clock.left > 0 && clock.next <= now + 5e-4 && clock.next < source.end {
-                let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
-                let Some(i) = (task.placed..slots.len()).find(|&i| free(&slots[i])) else {
-                    return;
-                };
-                let kind = draw(&source.types, &mut clock.rng);
-                clock.next += gap(source.spacing, &mut clock.rng);
-                clock.left -= 1;
-                let (vehicle_type, size) = task.demand_type(kind);
+            while clock.is_due(source, now) {
+                let Upcoming { kind, is_agent } = clock.upcoming(task, index);
+                let mut room =
+                    if is_agent { 0..task.agents } else { task.agents + task.placed..slots.len() };
+                let Some(i) = room.find(|&i| slots[i].is_free()) else { break };
+                let due = clock.advance(source);
                 let route = task.map.demand_routes[source.route].route;
+                let (slot, mut departure) = (i as u32, index as u32);
+                let (vehicle_type, size) =
+                    if is_agent { task.agent_type(driver, kind) } else { task.demand_type(kind) };
                 slots[i] = Slot { route, size, added: true, ..Slot::default() };
-                commands.push(Command::Depart {
-                    world,
-                    slot: (task.agents + i) as u32,
-                    departure: index as u32,
-                    vehicle_type,
-                });
+                if is_agent {
+                    slots[i].departure = Some(Departure { due, ..Departure::default() });
+                    departure += task.demand.sources.len() as u32;
+                }
+                commands.push(Command::Depart { world, slot, departure, vehicle_type });
+                if is_agent {
+                    let mode = if driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
+                    commands.push(Command::SpeedMode { world, slot, mode });
+                    if task.map.several_lanes {
+                        commands.push(Command::KeepLane { world, slot });
+                    }
+                }
             }
         }
+    }
+
+    /// Returns whether agents will depart from now on, of which none is due.
+    pub(super) fn expects_agents(&self, task: &Task) -> bool {
+        let sources = task.demand.sources.iter().zip(&self.clocks).zip(&task.recruits);
+        sources.into_iter().any(|((source, clock), recruits)| {
+            let agents = source.types.iter().any(|entry| recruits[entry.0]);
+            agents && clock.left > 0 && clock.next < source.end
+        })
+    }
+
+    /// Returns how many agents wait for a free slot, `now` seconds after the start of the episode.
+    pub(super) fn queued(&self, task: &Task, now: f64) -> u32 {
+        let sources = task.demand.sources.iter().zip(&self.clocks).enumerate();
+        let waiting = sources.filter(|(index, _)| !task.recruits[*index].is_empty());
+        let waiting = waiting.map(|(index, (source, clock))| {
+            let (mut clock, mut count) = (clock.clone(), 0);
+            while clock.is_due(source, now) {
+                count += u32::from(clock.upcoming(task, index).is_agent);
+                clock.advance(source);
+            }
+            count
+        });
+        waiting.sum()
+    }
+
+    /// Notes that the slot of an agent gets another agent.
+    pub(super) fn renew(&mut self, agent: usize) {
+        self.effects.renew(agent);
     }
 
     /// Reads from the snapshot where the vehicles are, and which have come or gone.

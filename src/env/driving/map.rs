@@ -66,6 +66,8 @@ pub struct Map {
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
     pub(super) route_edges: Vec<Vec<String>>,
+    /// Time that each route takes at the speed limits of lanes and vehicle \[s\].
+    pub(super) free_time: Vec<f64>,
     /// Routes of the route files.
     pub(super) demand_routes: Vec<DemandRoute>,
     /// Parts of each route that lie in junctions.
@@ -126,6 +128,7 @@ impl Map {
         Ok(Self {
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
+            free_time: lanes.iter().map(|path| free_time(&net, scenario, path)).collect(),
             junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
             several_lanes: lanes.iter().any(|path| path.lanes.iter().any(several)),
             road: road.transpose()?,
@@ -206,6 +209,14 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
         route
     };
     (0..lanes.len()).map(lay).collect()
+}
+
+fn free_time(net: &Net, scenario: &Scenario, path: &Path) -> f64 {
+    let time = |&lane: &usize| {
+        let speed = net.lanes[lane].speed.min(scenario.vehicle.max_speed).max(0.1);
+        net.lanes[lane].length / speed
+    };
+    path.lanes.iter().map(time).sum()
 }
 
 fn bounds(paths: &[Path]) -> [f64; 4] {

@@ -170,7 +170,7 @@ impl Layout {
         scenario.name.clone_from(&self.name);
         scenario.description = description;
         scenario.agents =
-            AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places) };
+            AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places), ..AgentRange::default() };
         scenario.nets = vec![Net { file: self.net.clone(), spawns }];
         scenario.routes = routes;
         scenario.vehicle.max_speed = speed;

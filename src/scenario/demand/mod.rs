@@ -69,6 +69,8 @@ pub struct VehicleKind {
     pub length: f64,
     /// Width \[m\].
     pub width: f64,
+    /// Vehicle class of SUMO.
+    pub class: String,
     /// Whether this is a type of persons.
     pub walks: bool,
 }
@@ -190,7 +192,8 @@ impl Demand {
         let default = |id: &str, class: &str| {
             let [length, width] =
                 SIZES.iter().find(|entry| entry.0 == class).map_or([1.0; 2], |entry| entry.1);
-            VehicleKind { id: id.into(), length, width, walks: class == WALKERS }
+            let walks = class == WALKERS;
+            VehicleKind { id: id.into(), length, width, class: class.into(), walks }
         };
         let types = vec![default(DEFAULT_TYPES[0], SIZES[0].0), default(DEFAULT_TYPES[1], WALKERS)];
         let mut demand = Self { types, ..Self::default() };

@@ -143,7 +143,8 @@ impl Demand {
             }
         };
         let (length, width) = (size("length", length)?, size("width", width)?);
-        let kind = VehicleKind { id: id.into(), length, width, walks: class == WALKERS };
+        let walks = class == WALKERS;
+        let kind = VehicleKind { id: id.into(), length, width, class: class.into(), walks };
         let _ = writeln!(self.definitions, "    {}", &text[node.range()]);
         if let Some(index) = default {
             if kind.walks != self.types[index].walks {
