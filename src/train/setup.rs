@@ -22,8 +22,10 @@ impl Trainer {
         let seed = Seed::new(config.seed);
         let mut task = Task::new(&scenario, config.agents)?;
         let fewest = config.train.fewest_agents;
-        if fewest > config.agents {
-            return Err(Error::TooFew { fewest, agents: config.agents });
+        let flow = scenario.agents.come_from_files();
+        let most = if flow { task.starting as u32 } else { config.agents };
+        if fewest > most {
+            return Err(Error::TooFew { fewest, agents: most });
         }
         if fewest > 0 {
             task = task.with_fewest(fewest as usize);
