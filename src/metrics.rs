@@ -169,7 +169,7 @@ metrics! {
         on_road: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.on_road)),
             "agents on the road", "agents", NUMBER, Neither, InEvaluations,
             "Agents on the road at the end of an episode. They count as not arrived if they have \
-             been there for more than twice the time of their route at the speed limits; otherwise \
+             been there for more than four times the time of their route at the speed limits; otherwise \
              they do not count.";
     }
     more: {}

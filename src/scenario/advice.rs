@@ -123,16 +123,22 @@ impl Adviser<'_, '_, '_> {
         }
         for (index, path) in map.paths.iter().enumerate() {
             if let Some(lane) = map.net.fork(path) {
-                findings.push(self.route_warning(
-                    index,
-                    format!(
-                        "SUMO may leave the route `{}`: in {} lane `{}` leads to several lanes of the next road",
-                        shorten(&self.scenario.routes[index].id),
-                        net.file.display(),
-                        shorten(&map.net.lanes[lane].id)
-                    ),
-                    "keep one of the lane's connections in the .con.xml, and run `iwol scenario build`",
-                ));
+                let of_file = index.checked_sub(self.scenario.routes.len());
+                let id = of_file.map_or_else(
+                    || &self.scenario.routes[index].id,
+                    |index| &map.of_files[index].0,
+                );
+                let message = format!(
+                    "SUMO may leave the route `{}`: in {} lane `{}` leads to several lanes of the next road",
+                    shorten(id),
+                    net.file.display(),
+                    shorten(&map.net.lanes[lane].id)
+                );
+                let hint = "keep one of the lane's connections in the .con.xml, and run `iwol scenario build`";
+                findings.push(match of_file {
+                    None => self.route_warning(index, message, hint),
+                    Some(index) => Finding::warning(map.of_files[index].1.clone(), message, hint),
+                });
             }
         }
     }
@@ -182,19 +188,24 @@ impl Adviser<'_, '_, '_> {
                 let path = &map.paths[route];
                 let end =
                     path.arc(path.edges.len() - 1, self.scenario.routes[route].arrival_pos)?;
-                Some((self.time(map, path, path.arc(0, row.first)?, end), route))
+                let id = self.scenario.routes[route].id.as_str();
+                Some((self.time(map, path, path.arc(0, row.first)?, end), id))
             };
-            net.spawns
-                .iter()
+            let of_files = map.paths[self.scenario.routes.len()..].iter().zip(&map.of_files);
+            let of_files =
+                of_files.map(|(path, (id, _))| (self.time(map, path, 0.0, path.length()), &**id));
+            let placed = net.spawns.iter();
+            placed
                 .flat_map(move |row| row.routes.iter().filter_map(move |&route| trip(row, route)))
+                .chain(of_files)
         });
-        let (time, route) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (time, id) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (steps, horizon) =
             (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
         if PATIENCE * steps <= horizon {
             return None;
         }
-        let id = shorten(&self.scenario.routes[route].id);
+        let id = shorten(id);
         let message = format!(
             "route `{id}` takes {steps:.0} steps at the speed limit, but the horizon is {horizon} steps"
         );
@@ -325,6 +336,7 @@ impl Adviser<'_, '_, '_> {
     fn without_effect(&self, findings: &mut Vec<Finding>) {
         let (s, o) = (self.scenario, &self.scenario.observation);
         let follows = s.control.steering.is_none();
+        let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
         let rules = [
             ("route", "offLane", follows, "vehicles do not steer"),
             ("termination", "border", follows, "vehicles do not steer"),
@@ -332,7 +344,10 @@ impl Adviser<'_, '_, '_> {
             ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
             ("observation", "foresight", o.encounters == 0, "encounters is 0"),
             ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
-            ("traffic", "type", s.traffic.penetration >= 1.0, "penetration is 1"),
+            ("jitter", "longitudinal", placeless, "there are no spawn places"),
+            ("jitter", "lateral", placeless, "there are no spawn places"),
+            ("traffic", "type", placeless, "there are no spawn places"),
+            ("traffic", "type", !placeless && s.traffic.penetration >= 1.0, "penetration is 1"),
             ("traffic", "capacity", s.traffic.files.is_empty(), "there are no files"),
         ];
         for (element, key, idle, why) in rules {

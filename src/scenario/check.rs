@@ -4,7 +4,7 @@
 use roxmltree::Node;
 
 use super::model::ALL;
-use super::{Demand, Error, Net, Place, Route, Scenario, Source, reader::Reader};
+use super::{Demand, DemandRoute, Error, Net, Place, Route, Scenario, Source, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -13,10 +13,13 @@ const SLACK: f64 = 1e-6;
 /// Hint for spawn places that are too close to each other or to the ends of an edge.
 const MOVE: &str = "move the places, lower their number, or make the longitudinal jitter smaller";
 
-/// A net and the centre lines of all routes through it.
+/// A net and the centre lines of the agents' routes through it.
 pub(super) struct Map {
     pub(super) net: net::Net,
+    /// Centre lines of the scenario's routes, then of those of agents from route files.
     pub(super) paths: Vec<Path>,
+    /// Ids and places of the routes of agents from route files.
+    pub(super) of_files: Vec<(String, Place)>,
 }
 
 /// Result of [`files`].
@@ -46,7 +49,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         let (paths, wrong): (Vec<_>, Vec<_>) =
             routes.map(|(r, node)| route(scenario, r, &map, node, reader)).partition(Result::is_ok);
         errors.extend(wrong.into_iter().filter_map(Result::err));
-        let paths: Vec<Path> = paths.into_iter().flatten().collect();
+        let mut paths: Vec<Path> = paths.into_iter().flatten().collect();
         if paths.len() < scenario.routes.len() {
             return None;
         }
@@ -54,7 +57,15 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         errors.extend(no_edge(scenario, &map, reader));
         let placed = spawns(scenario, net, &map, &paths, node, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, reader));
-        placed.map_err(|error| errors.push(error)).ok().map(|()| Map { net: map, paths })
+        placed.map_err(|error| errors.push(error)).ok()?;
+        let mut of_files = Vec::new();
+        for route in agent_routes(scenario, &demand) {
+            if let Ok(laid) = route.lay(&map) {
+                paths.push(laid.path);
+                of_files.push((route.id.clone(), route.place.clone()));
+            }
+        }
+        Some(Map { net: map, paths, of_files })
     };
     let maps = scenario.nets.iter().zip(net_nodes(reader)).map(&mut check).collect();
     Checked { errors, maps, demand }
@@ -135,6 +146,25 @@ fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), E
         return refuse(key, value, "no value unless <control> has the mode `throttle`".into());
     }
     Ok(())
+}
+
+/// Returns the routes of the route files that agents drive.
+fn agent_routes<'a>(
+    scenario: &'a Scenario,
+    demand: &'a Demand,
+) -> impl Iterator<Item = &'a DemandRoute> {
+    let drives = |source: &&Source| {
+        source.types.iter().any(|entry| scenario.agents.includes(demand, source, entry.0))
+    };
+    let from_files = scenario.agents.come_from_files();
+    let driven: std::collections::BTreeSet<usize> = demand
+        .sources
+        .iter()
+        .filter(|_| from_files)
+        .filter(drives)
+        .map(|source| source.route)
+        .collect();
+    driven.into_iter().map(|route| &demand.routes[route])
 }
 
 /// Returns an error for the first route or walk of the route files that the net does not allow.

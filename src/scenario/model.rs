@@ -131,7 +131,7 @@ element! {
 element! {
     /// Random displacement of vehicles from their spawn places: uniform in plus or minus each
     /// value.
-    #[derive(Debug, Clone, Copy, PartialEq)]
+    #[derive(Debug, Clone, Copy, Default, PartialEq)]
     pub struct Jitter {
         /// Along the lane \[m\].
         pub longitudinal: f64,

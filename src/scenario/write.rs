@@ -4,7 +4,7 @@ use std::path::Path;
 
 use super::attribute::{Field, Tag};
 use super::schema::describe;
-use super::{Scenario, Traffic};
+use super::{Jitter, Scenario, Traffic};
 use crate::markup::Writer;
 
 impl Scenario {
@@ -44,7 +44,9 @@ impl Scenario {
             }
         });
         root.fields("vehicle", &self.vehicle);
-        root.fields("jitter", &self.jitter);
+        if self.jitter != Jitter::default() || self.nets.iter().any(|net| !net.spawns.is_empty()) {
+            root.fields("jitter", &self.jitter);
+        }
         root.element("control", |tag| {
             tag.attribute("mode", self.control.mode());
             self.control.write(tag, "");

@@ -412,7 +412,11 @@ prop_compose! {
             name,
             path: "some/folder/x.xml".into(),
             description: words.join(" "),
-            agents: AgentRange { min, max, default: min },
+            agents: AgentRange {
+                min, max, default: min,
+                types: ["car", "bus"].iter().take(counts[2] % 3).map(|&id| id.into()).collect(),
+                vehicles: ["*"].iter().take(counts[0] % 2).map(|&id| id.into()).collect(),
+            },
             nets,
             routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: false, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },

@@ -154,6 +154,11 @@ impl Map {
         &self.route_ids[route]
     }
 
+    /// Returns the ids of a route's edges.
+    pub fn route_edges(&self, route: usize) -> &[String] {
+        &self.route_edges[route]
+    }
+
     /// Returns the path of the net's file.
     pub fn net_file(&self) -> &std::path::Path {
         &self.net_file

@@ -11,7 +11,7 @@ use super::task::Task;
 /// An agent of a route file that is still on the road when an episode ends counts as one that did
 /// not arrive if it has been there for longer than this multiple of the time that its route takes
 /// at the speed limits. A younger agent is neither late nor in time and does not count.
-const PATIENCE: f64 = 2.0;
+const PATIENCE: f64 = 4.0;
 
 /// A vehicle of the route files that is an agent.
 #[derive(Debug, Clone, Copy, Default)]
