@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::{Demand, Error, Source};
 use super::attribute::{Field, Tag, element, words};
 use super::observation::Observation;
 use super::reader::Element;
+use super::{Demand, Error, Source};
 
 /// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
 #[derive(Debug, Clone, PartialEq)]
@@ -364,7 +364,8 @@ impl AgentRange {
     /// Returns whether a vehicle or flow of the route files yields agents if its vehicle has the
     /// type `kind`, an index into [`Demand::types`].
     pub fn includes(&self, demand: &Demand, source: &Source, kind: usize) -> bool {
-        let listed = |id: &String| demand.mix(id).is_some_and(|mix| mix.iter().any(|m| m.0 == kind));
+        let listed =
+            |id: &String| demand.mix(id).is_some_and(|mix| mix.iter().any(|m| m.0 == kind));
         let named = self.vehicles.iter().any(|id| id == ALL || *id == source.id);
         !demand.types[kind].walks && (named || self.types.iter().any(listed))
     }

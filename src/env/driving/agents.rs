@@ -76,7 +76,7 @@ pub(crate) struct Slot {
     /// Whether SUMO has put the vehicle on the road.
     pub(crate) departed: bool,
     /// How an agent from a route file departed; `None` for all other vehicles.
-    pub(super) departure: Option<Departure>,
+    pub(crate) departure: Option<Departure>,
     /// Steps for which a wreck remains.
     pub(crate) wreck_steps: u32,
     /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle

@@ -90,6 +90,7 @@ pub(super) fn spawn(
             commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
         }
     }
-    let others = (task.starting..task.starting + task.placed).map(|place| draw(place, rng)).collect();
+    let others =
+        (task.starting..task.starting + task.placed).map(|place| draw(place, rng)).collect();
     Spawned { active_agents, others }
 }

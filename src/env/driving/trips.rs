@@ -15,16 +15,16 @@ const PATIENCE: f64 = 4.0;
 
 /// A vehicle of the route files that is an agent.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Departure {
+pub(crate) struct Departure {
     /// Time at which it is to depart, from the start of the episode \[s\].
-    pub(super) due: f64,
+    pub(crate) due: f64,
     /// Step after which it was on the road.
-    pub(super) step: u32,
+    pub(crate) step: u32,
     /// What is added to SUMO's driven distance to get the position of the front on the route, as a
     /// sum of SUMO's lane lengths \[m\].
-    pub(super) origin: f64,
+    pub(crate) origin: f64,
     /// SUMO's time loss so far \[s\].
-    pub(super) time_loss: f64,
+    pub(crate) time_loss: f64,
 }
 
 /// An agent's trip.
@@ -126,8 +126,7 @@ impl Trips {
     ) -> Counts {
         let mut trips = self.all(agents, loitering);
         trips.retain(|trip| !trip.unfinished || trip.is_late(task, steps));
-        let count =
-            |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
+        let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
         Counts {
             count: count(|_| true).max(1.0),
             arrived: count(|trip| trip.outcome.arrived),

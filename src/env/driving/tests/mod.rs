@@ -74,7 +74,10 @@ impl Rails {
                 Command::SetSpeed { slot, speed, .. } => {
                     let vehicle =
                         self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
-                    assert!(!self.waiting.contains(&(slot as usize)), "slot {slot} is not yet there");
+                    assert!(
+                        !self.waiting.contains(&(slot as usize)),
+                        "slot {slot} is not yet there"
+                    );
                     assert!(
                         (0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed),
                         "speed {speed}"
@@ -136,7 +139,10 @@ impl Rails {
             let departed = self.departed[slot];
             snapshot.vehicles.push(vehicle.as_mut().map(|(_, s, speed)| {
                 *s += *speed * step;
-                VehicleState { distance: if departed > 0.0 { *s - departed } else { *s }, speed: *speed }
+                VehicleState {
+                    distance: if departed > 0.0 { *s - departed } else { *s },
+                    speed: *speed,
+                }
             }));
             // SUMO removes vehicles in the step in which they reach the end.
             if slot < self.task.agents
