@@ -15,7 +15,7 @@ use crate::support::{agents_drive, folder, play, root, shipped, turn};
 /// Returns a shipped scenario with agents from a route file; all vehicles that it names are agents.
 fn task(name: &str, agents: u32) -> Arc<Task> {
     let mut scenario = shipped(name);
-    (scenario.traffic.penetration, scenario.termination.horizon) = (1.0, 250);
+    (scenario.traffic.penetration, scenario.termination.horizon) = (1.0, 400);
     Arc::new(Task::new(&scenario, agents).expect("a task"))
 }
 
@@ -23,8 +23,12 @@ fn options(worlds: usize, backend: Backend) -> VecOptions {
     agents_drive(worlds, 4, Hosting { backend, ..Hosting::default() })
 }
 
+/// Number of agents in tests of reproducibility.
+const AGENTS: u32 = 4;
+
 /// Plays some steps; the actions depend only on episode and step.
-fn steps(env: &mut VecEnv, agents: usize, count: usize) -> (Vec<Vec<Frame>>, Vec<EpisodeRecord>) {
+fn steps(env: &mut VecEnv, count: usize) -> (Vec<Vec<Frame>>, Vec<EpisodeRecord>) {
+    let agents = AGENTS as usize;
     let (mut frames, mut records) = (Vec::new(), Vec::new());
     for _ in 0..count {
         let mut actions = vec![0.0; env.len() * agents];
@@ -43,26 +47,26 @@ fn steps(env: &mut VecEnv, agents: usize, count: usize) -> (Vec<Vec<Frame>>, Vec
 #[test]
 fn flows_are_the_same_on_both_backends_and_after_a_restart() {
     for name in ["flow_cross", "flow_merge"] {
-        let task = task(name, 6);
+        let task = task(name, AGENTS);
         let watch = |backend| {
             let _turn = turn(backend);
             let mut env = VecEnv::new(&task, &options(1, backend)).expect("SUMO runs");
-            steps(&mut env, 6, 600)
+            steps(&mut env, 900)
         };
         let (frames, records) = watch(Backend::Traci);
         let starts = frames[1..].iter().filter(|frame| frame[0].start.iter().sum::<f32>() == 1.0);
         assert!(starts.count() > 5 && records.len() >= 2, "agents come in the middle of episodes");
         let flow = records[0].flow.expect("a flow");
-        assert!(flow.departed > 6, "slots are used again: {flow:?}");
+        assert!(flow.departed > AGENTS, "slots are used again: {flow:?}");
         assert!(watch(Backend::Libsumo) == (frames, records), "{name} differs with libsumo");
 
         let options = options(2, Backend::Traci);
         let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
-        steps(&mut env, 6, 330);
+        steps(&mut env, 530);
         let states = env.states();
-        let expected = steps(&mut env, 6, 200);
+        let expected = steps(&mut env, 200);
         let mut again = VecEnv::restore(&task, &options, &states).expect("SUMO runs");
-        assert!(steps(&mut again, 6, 200) == expected, "{name} differs after a restart");
+        assert!(steps(&mut again, 200) == expected, "{name} differs after a restart");
     }
 }
 
@@ -79,7 +83,7 @@ fn sumo_drives_the_same_demand() {
     let metrics = play(&task, &Policy::Sumo, 4, Seed::new(0)).metrics().expect("episodes");
     let flow = metrics.flow.expect("a flow");
     assert_eq!(metrics.crash.mean, 0.0, "SUMO's drivers do not crash");
-    assert!(flow.throughput.expect("arrivals").mean > 300.0, "{flow:?}");
+    assert!(flow.throughput.expect("arrivals").mean > 100.0, "{flow:?}");
     assert!((0.0..30.0).contains(&flow.delay.expect("arrivals").mean), "{flow:?}");
 
     let options = VecOptions { driver: Driver::Sumo, ..options(1, Backend::Traci) };

@@ -196,6 +196,12 @@ fn symbols_are_seen_a_step_later_and_within_range() {
 /// Returns a rollout of random numbers in which agents end and their slots start new trajectories
 /// later.
 fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout {
+    rollout_with(learner, agents, seed, false)
+}
+
+/// Returns such a rollout in which, with `newcomers`, new agents come into slots that were empty for
+/// a step.
+fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bool) -> Rollout {
     let sizes = Sizes {
         steps: 16,
         envs: 3,
@@ -227,9 +233,9 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
             let mut alive = true;
             for t in 0..=sizes.steps {
                 let at = (t * sizes.envs + e) * agents + i;
-                // A new episode begins in the whole environment at step 8. Before and after that,
-                // a new agent may come into a slot that was empty for a step.
-                let comes = t > 0
+                // A new episode begins in the whole environment at step 8.
+                let comes = newcomers
+                    && t > 0
                     && !alive
                     && rollout.active[at - sizes.envs * agents] == 0.0
                     && rng::below(&mut rng, 3) == 0;
@@ -429,7 +435,7 @@ fn an_update_sees_the_policy_that_acted() {
             return;
         }
         let mut learner = loud(name, &spec(4), &small(encoder));
-        let mut rollout = random_rollout(&*learner, 4, 3);
+        let mut rollout = rollout_with(&*learner, 4, 3, true);
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout, STILL);
         // Log-probabilities of correlated noise are conditional on the noise of the step before.
@@ -973,12 +979,39 @@ fn an_empty_slot_changes_nothing() {
         let small = Observation {
             observation: without(&input.observation),
             comm: without(&input.comm).index_select(2, &rest),
-            start: input.start.copy(),
+            start: without(&input.start),
             memory: without(&input.memory),
         };
         let gap = without(&five.act(&input, &ActMode::Deterministic).action);
         let none = four.act(&small, &ActMode::Deterministic).action;
         assert!((gap - none).abs().max().double_value(&[]) < 1e-4, "{name} {encoder:?}");
+    });
+}
+
+/// An agent that takes over a slot remembers nothing of the agent before it, and the others keep
+/// their memories.
+#[test]
+fn a_new_agent_in_a_slot_has_no_memory() {
+    each(|name, encoder| {
+        let learner = loud(name, &spec(4), &small(encoder));
+        let comm = Tensor::ones([2, 4, 4], (Kind::Float, Device::Cpu));
+        let old = observation(&*learner, noise(1, &[2, 4, 4]), comm.copy());
+        let new = observation(&*learner, noise(1, &[2, 4, 4]), comm);
+        let _ = new.start.select(1, 2).fill_(1.0);
+        let cleared = old.memory.copy();
+        let _ = cleared.select(1, 2).fill_(0.0);
+        let expected = Observation { memory: cleared, ..old };
+        let found = learner.act(&new, &ActMode::Deterministic);
+        let expected = learner.act(&expected, &ActMode::Deterministic);
+        for (found, expected) in
+            [(&found.action, &expected.action), (&found.memory, &expected.memory)]
+        {
+            assert_eq!(found.size(), expected.size(), "{name} {encoder:?}");
+            assert!(
+                found.numel() == 0 || (found - expected).abs().max().double_value(&[]) < 1e-6,
+                "{name} {encoder:?}"
+            );
+        }
     });
 }
 

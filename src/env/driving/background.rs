@@ -63,13 +63,11 @@ impl Clock {
         })
     }
 
-    /// Goes on to the next departure. Returns the time at which the last one was due \[s\].
-    fn advance(&mut self, source: &Source) -> f64 {
-        let due = self.next;
+    /// Goes on to the next departure.
+    fn advance(&mut self, source: &Source) {
         self.next += gap(source.spacing, &mut self.rng);
         self.left -= 1;
         self.upcoming = None;
-        due
     }
 }
 
@@ -166,7 +164,8 @@ impl Background {
     }
 
     /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
-    /// the other vehicles wait.
+    /// the other vehicles wait. Agents that wait depart in the order of their times, so that no flow
+    /// gets every slot that becomes free.
     fn let_depart(
         &mut self,
         task: &Task,
@@ -176,31 +175,42 @@ impl Background {
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
-        let sources = task.demand.sources.iter().zip(&mut self.clocks).enumerate();
-        for (index, (source, clock)) in sources {
-            while clock.is_due(source, now) {
-                let Upcoming { kind, is_agent } = clock.upcoming(task, index);
-                let mut room =
-                    if is_agent { 0..task.agents } else { task.agents + task.placed..slots.len() };
-                let Some(i) = room.find(|&i| slots[i].is_free()) else { break };
-                let due = clock.advance(source);
-                let route = task.map.demand_routes[source.route].route;
-                let (slot, mut departure) = (i as u32, index as u32);
-                let (vehicle_type, size) =
-                    if is_agent { task.agent_type(driver, kind) } else { task.demand_type(kind) };
-                slots[i] = Slot { route, size, added: true, ..Slot::default() };
-                if is_agent {
-                    slots[i].departure = Some(Departure { due, ..Departure::default() });
-                    departure += task.demand.sources.len() as u32;
-                }
-                commands.push(Command::Depart { world, slot, departure, vehicle_type });
-                if is_agent {
-                    let mode = if driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
-                    commands.push(Command::SpeedMode { world, slot, mode });
-                    if task.map.several_lanes {
-                        commands.push(Command::KeepLane { world, slot });
+        let sources = &task.demand.sources;
+        loop {
+            let mut agent: Option<(usize, f64)> = None;
+            for (index, (source, clock)) in sources.iter().zip(&mut self.clocks).enumerate() {
+                while clock.is_due(source, now) {
+                    let Upcoming { kind, is_agent } = clock.upcoming(task, index);
+                    if is_agent {
+                        if agent.is_none_or(|(_, due)| clock.next < due) {
+                            agent = Some((index, clock.next));
+                        }
+                        break;
                     }
+                    let mut room = task.agents + task.placed..slots.len();
+                    let Some(i) = room.find(|&i| slots[i].is_free()) else { break };
+                    clock.advance(source);
+                    let (vehicle_type, size) = task.demand_type(kind);
+                    let route = task.map.demand_routes[source.route].route;
+                    slots[i] = Slot { route, size, added: true, ..Slot::default() };
+                    let (slot, departure) = (i as u32, index as u32);
+                    commands.push(Command::Depart { world, slot, departure, vehicle_type });
                 }
+            }
+            let free = (0..task.agents).find(|&i| slots[i].is_free());
+            let (Some((index, due)), Some(i)) = (agent, free) else { return };
+            let (clock, source) = (&mut self.clocks[index], &sources[index]);
+            let (vehicle_type, size) = task.agent_type(driver, clock.upcoming(task, index).kind);
+            clock.advance(source);
+            let route = task.map.demand_routes[source.route].route;
+            let departure = Some(Departure { due, ..Departure::default() });
+            slots[i] = Slot { route, size, added: true, departure, ..Slot::default() };
+            let (slot, departure) = (i as u32, (sources.len() + index) as u32);
+            let mode = if driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
+            commands.push(Command::Depart { world, slot, departure, vehicle_type });
+            commands.push(Command::SpeedMode { world, slot, mode });
+            if task.map.several_lanes {
+                commands.push(Command::KeepLane { world, slot });
             }
         }
     }

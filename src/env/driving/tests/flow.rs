@@ -207,3 +207,27 @@ fn routes_of_files_have_the_same_conflicts() {
         assert_eq!(conflicts(&file, id), expected, "{id}");
     }
 }
+
+/// Flows take turns where slots are few: the vehicle that has waited longest departs first.
+#[test]
+fn no_flow_gets_every_slot() {
+    let task = flow(1, 1.0, 1_000_000);
+    let sources = task.demand.sources.len();
+    let (mut world, mut rails) = (world(&task, 3), Rails::new(&task));
+    world.reset(0);
+    let (mut departures, mut commands) = (vec![0; 2 * sources], Vec::new());
+    for _ in 0..3000 {
+        commands.clear();
+        world.act(0, &[0.4], &mut commands);
+        for command in &commands {
+            if let Command::Depart { departure, .. } = command {
+                departures[*departure as usize] += 1;
+            }
+        }
+        let snapshot = rails.step(&commands);
+        world.observe(0, &snapshot).expect("nothing vanishes on rails");
+    }
+    let agents = &departures[sources..];
+    let (least, most) = (agents.iter().min().copied(), agents.iter().max().copied());
+    assert!(least >= most.map(|most| most / 3) && least > Some(0), "{departures:?}");
+}
