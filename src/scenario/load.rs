@@ -133,7 +133,7 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
     let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
     let refuse = |key, allowed: String| Err(element.reader.value(element.node, key, allowed));
     let from_files = range.come_from_files();
-    if from_files && !root.child("traffic").is_some_and(|t| t.attribute("files").is_some()) {
+    if from_files && root.child("traffic").is_none_or(|t| t.attribute("files").is_none()) {
         let key = if range.types.is_empty() { "vehicles" } else { "types" };
         return refuse(key, "no value unless <traffic> has the attribute `files`".into());
     }

@@ -35,7 +35,9 @@ fn steps(env: &mut VecEnv, count: usize) -> (Vec<Vec<Frame>>, Vec<EpisodeRecord>
         for (world, out) in env.worlds().zip(actions.chunks_mut(agents)) {
             let seed = Seed::new(5).index(world.episode()).index(u64::from(world.step_count()));
             rng::fill_normal(&mut seed.rng(), out);
-            out.iter_mut().for_each(|action| *action = 0.5 + 0.5 * *action);
+            for action in out {
+                *action = 0.5 + 0.5 * *action;
+            }
         }
         env.step(&actions).expect("a step");
         frames.push(env.worlds().map(|world| world.frame().clone()).collect());

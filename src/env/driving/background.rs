@@ -75,14 +75,15 @@ impl Clock {
 /// those of the agents.
 #[derive(Debug, Clone)]
 pub(super) struct Background {
+    driver: Driver,
     clocks: Vec<Clock>,
     effects: Effects,
 }
 
 impl Background {
-    pub(super) fn new(task: &Task) -> Self {
+    pub(super) fn new(task: &Task, driver: Driver) -> Self {
         let clocks = Vec::with_capacity(task.demand.sources.len());
-        Self { clocks, effects: Effects::new(task.agents, task.others) }
+        Self { driver, clocks, effects: Effects::new(task.agents, task.others) }
     }
 
     /// Begins a new episode: empties the slots and adds the vehicles that start at spawn places,
@@ -91,7 +92,6 @@ impl Background {
     pub(super) fn spawn(
         &mut self,
         task: &Task,
-        driver: Driver,
         world: u32,
         seed: Seed,
         places: &[(usize, f64)],
@@ -129,7 +129,7 @@ impl Background {
                 depart_speed: 0.0,
             });
         }
-        self.let_depart(task, driver, world, 0.0, slots, commands);
+        self.let_depart(task, world, 0.0, slots, commands);
     }
 
     /// Appends the commands of the coming exchange, `now` seconds after the start of the episode.
@@ -137,7 +137,6 @@ impl Background {
     pub(super) fn act(
         &mut self,
         task: &Task,
-        driver: Driver,
         world: u32,
         now: f64,
         slots: &mut [Slot],
@@ -160,7 +159,7 @@ impl Background {
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
-        self.let_depart(task, driver, world, now, slots, commands);
+        self.let_depart(task, world, now, slots, commands);
     }
 
     /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
@@ -169,7 +168,6 @@ impl Background {
     fn let_depart(
         &mut self,
         task: &Task,
-        driver: Driver,
         world: u32,
         now: f64,
         slots: &mut [Slot],
@@ -200,13 +198,14 @@ impl Background {
             let free = (0..task.agents).find(|&i| slots[i].is_free());
             let (Some((index, due)), Some(i)) = (agent, free) else { return };
             let (clock, source) = (&mut self.clocks[index], &sources[index]);
-            let (vehicle_type, size) = task.agent_type(driver, clock.upcoming(task, index).kind);
+            let (vehicle_type, size) =
+                task.agent_type(self.driver, clock.upcoming(task, index).kind);
             clock.advance(source);
             let route = task.map.demand_routes[source.route].route;
             let departure = Some(Departure { due, ..Departure::default() });
             slots[i] = Slot { route, size, added: true, departure, ..Slot::default() };
             let (slot, departure) = (i as u32, (sources.len() + index) as u32);
-            let mode = if driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
+            let mode = if self.driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
             commands.push(Command::Depart { world, slot, departure, vehicle_type });
             commands.push(Command::SpeedMode { world, slot, mode });
             if task.map.several_lanes {

@@ -78,7 +78,7 @@ impl World {
                 driver == Driver::Rules,
                 slots,
             ),
-            background: Background::new(&task),
+            background: Background::new(&task, driver),
             collisions: Collisions::new(slots),
             rewards: Rewards::new(n),
             loitering: vec![Loitering::default(); n],
@@ -239,7 +239,7 @@ impl World {
                 let slots = &mut self.traffic.slots;
                 motion::act(task, self.driver, world, actions, &mut slots[..task.agents], commands);
                 if task.others > 0 {
-                    self.background.act(task, self.driver, world, now, slots, commands);
+                    self.background.act(task, world, now, slots, commands);
                 }
             }
         }
@@ -257,7 +257,7 @@ impl World {
         let spawned = spawn(task, driver, world, &mut seed.rng(), agents, commands);
         if task.others > 0 {
             let seed = seed.child("traffic");
-            self.background.spawn(task, driver, world, seed, &spawned.others, slots, commands);
+            self.background.spawn(task, world, seed, &spawned.others, slots, commands);
         }
         // With agents from route files, rewards are per slot.
         let shares = if task.has_flow() { task.agents } else { spawned.active_agents };

@@ -36,7 +36,9 @@ proptest! {
         let (mut departed, mut arrived, mut earned, mut episodes) = (0, 0, 0.0, 0);
         for _ in 0..800 {
             crate::rng::fill_normal(&mut rng, &mut actions);
-            actions.iter_mut().for_each(|action| *action += mean);
+            for action in &mut actions {
+                *action += mean;
+            }
             let before = world.frame().clone();
             exchange(&mut world, &mut rails, &actions);
             let first = world.step_count() == 0;
