@@ -127,7 +127,8 @@ mod tests {
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("a valid configuration");
         config.steps = 1000;
         config.learner.exploration.explore_steps = 400;
-        (config.learner.exploration.log_std_start, config.learner.exploration.log_std_end) = (0.0, -2.0);
+        (config.learner.exploration.log_std_start, config.learner.exploration.log_std_end) =
+            (0.0, -2.0);
         (config.learner.ppo.learning_rate, config.learner.ppo.learning_rate_end) = (1e-3, 0.1);
         (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) =
             (0.9, 200, 50);

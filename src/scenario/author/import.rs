@@ -233,7 +233,8 @@ fn no_site(map: &Path, net: &Net, junction: Option<&str>, survey: &Survey<'_>) -
             (format!("`{}` is not a junction where {needed}", shorten(id)), left_out)
         }
         None => {
-            let all = survey.refused.iter().fold(LeftOut::default(), |all, (_, more)| all.and(more));
+            let all =
+                survey.refused.iter().fold(LeftOut::default(), |all, (_, more)| all.and(more));
             (format!("the map has no junction where {needed}"), all)
         }
     };
