@@ -118,8 +118,58 @@ fn mistake(from: &str, to: &str) -> String {
 
 #[test]
 fn agents_that_the_files_do_not_have_are_refused() {
-    insta::assert_snapshot!(mistake("types=\"car\"", "types=\"cra\""), @"task.xml:11:42: `cra` is not a valid types of <agents>, allowed: ids of vTypes or vTypeDistributions of vehicles in the files; did you mean `car`?");
-    insta::assert_snapshot!(mistake("types=\"car\"", "vehicles=\"from_wst\""), @"task.xml:11:42: `from_wst` is not a valid vehicles of <agents>, allowed: ids of vehicles, trips and flows of vehicles in the files, or *; did you mean `from_west`?");
-    insta::assert_snapshot!(mistake(" types=\"car\"", ""), @"task.xml:15:9: <net> lacks the element `spawn`");
-    insta::assert_snapshot!(mistake("files=\"../sumo_nets/flow_cross/cars.rou.xml\" ", ""), @"task.xml:11:42: `car` is not a valid types of <agents>, allowed: no value unless <traffic> has the attribute `files`");
+    insta::assert_snapshot!(mistake("types=\"car\"", "types=\"cra\""), @"task.xml:12:42: `cra` is not a valid types of <agents>, allowed: ids of vTypes or vTypeDistributions of vehicles in the files; did you mean `car`?");
+    insta::assert_snapshot!(mistake("types=\"car\"", "vehicles=\"from_wst\""), @"task.xml:12:42: `from_wst` is not a valid vehicles of <agents>, allowed: ids of vehicles, trips and flows of vehicles in the files, or *; did you mean `from_west`?");
+    insta::assert_snapshot!(mistake(" types=\"car\"", ""), @"task.xml:16:9: <net> lacks the element `spawn`");
+    insta::assert_snapshot!(mistake("files=\"../sumo_nets/flow_cross/cars.rou.xml\" ", ""), @"task.xml:12:42: `car` is not a valid types of <agents>, allowed: no value unless <traffic> has the attribute `files`");
+}
+
+/// Agents depart and arrive where the files say, whatever else they say: SUMO loses none of them.
+#[test]
+fn agents_arrive_where_the_files_say() {
+    let folder = folder();
+    let file = folder.path().join("cars.rou.xml");
+    let elements = "<vType id=\"car\" length=\"4\" width=\"1.8\" scale=\"2\"/>\
+        <vType id=\"bus\" vClass=\"bus\" maxSpeed=\"30\"/>\
+        <route id=\"a\" edges=\"west_in east_out\"/><route id=\"b\" edges=\"south_in north_out\"/>\
+        <routeDistribution id=\"any\" routes=\"a b\"/>\
+        <flow id=\"early\" type=\"car\" route=\"a\" begin=\"0\" end=\"60\" period=\"1\"/>\
+        <flow id=\"short\" type=\"car\" route=\"any\" begin=\"100\" period=\"12\" arrivalPos=\"20\"/>\
+        <flow id=\"any\" type=\"car\" from=\"east_in\" to=\"west_out\" begin=\"100\" period=\"9\" arrivalPos=\"random\" departPos=\"random_free\" departLane=\"best\" departSpeed=\"5\"/>\
+        <flow id=\"bus\" type=\"bus\" from=\"north_in\" to=\"south_out\" begin=\"101\" period=\"15\" personNumber=\"3\" arrivalPos=\"-30\" arrivalSpeed=\"3\" speedFactor=\"0.9\">\
+            <stop lane=\"north_in_0\" endPos=\"40\" duration=\"20\"/><stop lane=\"south_out_0\" endPos=\"25\" duration=\"20\"/></flow>";
+    fs::write(&file, format!("<routes>{elements}</routes>")).expect("written");
+    let mut scenario = shipped("flow_cross");
+    (scenario.agents.types, scenario.agents.vehicles) = (Vec::new(), vec!["*".into()]);
+    (scenario.traffic.penetration, scenario.traffic.files) = (1.0, vec![file]);
+    (scenario.traffic.begin.0, scenario.termination.horizon) = (100.0, 900);
+    let task = Arc::new(Task::new(&scenario, 12).expect("a task"));
+    assert_eq!(task.refused_departures(&Hosting::default()).expect("SUMO runs"), []);
+    for driver in [Driver::Agents, Driver::Sumo] {
+        let options = VecOptions { driver, ..options(1, Backend::Traci) };
+        let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
+        let mut ended = Vec::new();
+        let record = loop {
+            let before: Vec<_> = env.worlds().next().expect("one world").agents().collect();
+            env.step(&[0.25; 12]).expect("SUMO loses no agent");
+            let world = env.worlds().next().expect("one world");
+            for (before, after) in before.iter().zip(world.agents()) {
+                if before.driving && !after.driving && after.outcome.arrived {
+                    ended.push((task.map.route_id(before.route).to_owned(), before.position));
+                }
+            }
+            if let Some(record) = env.take_finished().into_iter().next() {
+                break record;
+            }
+        };
+        let flow = record.flow.expect("a flow");
+        assert!(!record.interrupted && flow.arrived > 8, "{driver:?}: {record:?}");
+        // Fronts one step before the arrival: at most 2.3 m before the place where SUMO removes them.
+        for (route, half, end) in [("a ", 2.0, 117.5), ("b ", 2.0, 117.5), ("bus ", 6.0, 141.5)] {
+            let here = ended.iter().filter(|(id, _)| id.starts_with(route));
+            let here: Vec<f64> = here.map(|(_, position)| position + half).collect();
+            let within = end - 2.3..=end + 0.1;
+            assert!(here.len() > 1 && here.iter().all(|s| within.contains(s)), "{route}{here:?}");
+        }
+    }
 }

@@ -233,3 +233,85 @@ fn no_flow_gets_every_slot() {
     let (least, most) = (agents.iter().min().copied(), agents.iter().max().copied());
     assert!(least >= most.map(|most| most / 3) && least > Some(0), "{departures:?}");
 }
+
+/// The vehicles of a flow that depart together are agents or not, each for itself, and every other
+/// vehicle of the plan may be an agent: with a route that is drawn, with stops, of a file's later
+/// hours. Vehicles that are left out are not.
+#[test]
+fn every_vehicle_of_the_plan_may_be_an_agent() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let file = folder.path().join("cars.rou.xml");
+    let text = r#"<routes>
+        <vType id="car" length="4" width="1.8" scale="3"/>
+        <vType id="bus" vClass="bus"/>
+        <route id="a" edges="west_in east_out"/>
+        <route id="b" edges="south_in north_out"/>
+        <routeDistribution id="any" routes="a b"/>
+        <flow id="gone" type="car" route="a" begin="0" end="50" period="1"/>
+        <flow id="cars" type="car" route="any" begin="100" period="5"/>
+        <trip id="lost" type="car" from="west_in" to="west_in" departSpeed="99" depart="101"/>
+        <vehicle id="bus" type="bus" route="a" depart="102" departSpeed="25" personNumber="3" arrivalLane="0">
+            <stop edge="west_in" endPos="20" duration="30"/>
+        </vehicle>
+    </routes>"#;
+    std::fs::write(&file, text).expect("written");
+    let flow = |penetration: f64, vehicles: &str| {
+        let mut scenario = scenario("flow_cross");
+        scenario.agents.types = Vec::new();
+        scenario.agents.vehicles = vehicles.split(' ').map(Into::into).collect();
+        (scenario.traffic.penetration, scenario.traffic.files) = (penetration, vec![file.clone()]);
+        scenario.traffic.begin.0 = 100.0;
+        (scenario.traffic.capacity, scenario.termination.horizon) = (1000, 400);
+        Arc::new(Task::new(&scenario, 16).expect("a task"))
+    };
+    // Returns the departures of one episode: whether it is that of an agent, its source, its time.
+    let departures = |task: &Arc<Task>, seed: u64| {
+        let (mut world, mut rails) = (world(task, seed), Rails::new(task));
+        world.reset(0);
+        let planned = &task.map.plan.departures;
+        let (mut departures, mut commands) = (Vec::new(), Vec::new());
+        for step in 0..300 {
+            commands.clear();
+            world.act(0, &[0.6; 16], &mut commands);
+            departures.extend(commands.iter().filter_map(|command| match command {
+                Command::Depart { departure, .. } => {
+                    let number = *departure as usize;
+                    let source = planned[number % planned.len()].source;
+                    Some((number >= planned.len(), task.demand.sources[source].id.clone(), step))
+                }
+                _ => None,
+            }));
+            let snapshot = rails.step(&commands);
+            world.observe(0, &snapshot).expect("nothing vanishes on rails");
+        }
+        departures
+    };
+    let task = flow(1.0, "*");
+    assert_eq!(task.map.plan.left_out.len(), 1, "{:?}", task.map.plan.left_out);
+    let all = departures(&task, 1);
+    assert!(all.iter().all(|(is_agent, ..)| *is_agent), "{all:?}");
+    assert!(all.iter().all(|(_, id, _)| id == "cars" || id == "bus"), "{all:?}");
+    let first = all.iter().filter(|(_, id, step)| id == "cars" && *step < 40).count();
+    assert_eq!(first, 3, "three cars depart instead of one: {all:?}");
+
+    let others = task.simulation_config(0, 1, &crate::sumo::Hosting::default()).others;
+    let departures_of = others.expect("background traffic").departures;
+    let bus = departures_of.iter().rev().find_map(|departure| match departure {
+        crate::sumo::Departure::Drive { speed, persons, stops, arrival_lane, .. } => {
+            (*persons == 3).then_some((speed.as_str(), stops.len(), arrival_lane.as_str()))
+        }
+        crate::sumo::Departure::Walk { .. } => None,
+    });
+    assert_eq!(bus, Some(("22.222", 0, "current")), "an agent drives as agents do");
+
+    let bus = departures(&flow(1.0, "bus"), 1);
+    assert!(bus.iter().all(|(is_agent, id, _)| *is_agent == (id == "bus")), "{bus:?}");
+    let mut together = 0;
+    for seed in 0..20 {
+        let some = departures(&flow(0.5, "cars"), seed);
+        let agents =
+            some.iter().filter(|(is_agent, id, step)| *is_agent && id == "cars" && *step < 40);
+        together += usize::from((1..3).contains(&agents.count()));
+    }
+    assert!(together > 5, "of three cars that depart together, some are agents: {together}");
+}
