@@ -164,7 +164,7 @@ fn act(c: &mut Criterion) {
         let input = Observation {
             observation: zeros(&[worlds, agents, task.spec.observation.len() as i64]),
             comm: zeros(&[worlds, agents, agents]) + 1.0,
-            start: zeros(&[worlds]),
+            start: zeros(&[worlds, agents]),
             memory: zeros(&[worlds, agents, learner.memory() as i64]),
         };
         c.bench_function(&format!("act/{name}"), |b| {

@@ -59,7 +59,8 @@ pub struct Config {
     #[schemars(extend("enum" = algo::NAMES, "default" = DEFAULT_ALGORITHM))]
     pub algorithm: String,
     /// Number of vehicles at spawn places. All of them are agents, unless
-    /// `scenario.traffic.penetration` is below 1. By default the scenario's.
+    /// `scenario.traffic.penetration` is below 1. Where agents come from route files, the most
+    /// agents on the road at a time. By default the scenario's.
     #[schemars(range(min = 1))]
     pub agents: u32,
     /// Seed of all random numbers.
@@ -123,7 +124,7 @@ pub struct Train {
     pub repeat_failed: f64,
     /// Whether the value of the last observation stands for the rewards after the horizon, as if
     /// episodes went on. Otherwise the horizon is a deadline: an agent that has not arrived by then
-    /// earns nothing more.
+    /// earns nothing more. True by default with agents from route files, whose flow goes on.
     pub bootstrap_horizon: bool,
     /// Environment steps between validations; by default × 8/N, but at least a quarter. A
     /// checkpoint follows each validation.

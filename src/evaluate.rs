@@ -255,6 +255,7 @@ mod tests {
             loitering: 0.0,
             audit: Audit::default(),
             failures: Failures::default(),
+            flow: None,
             others: None,
             interrupted: false,
             step_rewards: rewards.to_vec(),

@@ -12,7 +12,7 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-use crate::env::{Audit, BackgroundMetrics, EpisodeRecord, Failures};
+use crate::env::{Audit, BackgroundMetrics, EpisodeRecord, Failures, FlowMetrics};
 use crate::stats::Estimate;
 
 use metric::{
@@ -29,7 +29,7 @@ pub const SUCCESS: &Metric = &Metrics::REGISTERED[0];
 
 /// Returns all metrics, in the order of tables.
 pub fn all() -> impl Iterator<Item = &'static Metric> {
-    Metrics::REGISTERED.iter().chain(BackgroundSummary::REGISTERED)
+    Metrics::REGISTERED.iter().chain(FlowSummary::REGISTERED).chain(BackgroundSummary::REGISTERED)
 }
 
 /// Returns the metrics that an output shows, if results contain them.
@@ -135,12 +135,56 @@ metrics! {
         pub audit: Audit,
         /// Why agents did not arrive; sums over all episodes.
         pub failures: Failures,
+        /// Flow of the agents from route files; `None` in tasks without them.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub flow: Option<FlowSummary>,
         /// Effects on background traffic and pedestrians; `None` in tasks without them.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub others: Option<BackgroundSummary>,
         /// How well the policy's latent predicts its targets; empty for policies without a latent.
         pub reconstruction: Vec<Knowledge>,
     }
+}
+
+metrics! {
+    /// Flow of the agents from route files; see [`FlowMetrics`] for the definitions.
+    FlowSummary,
+    of: Vec<FlowMetrics>, ids: "flow.", part: |metrics| metrics.flow.as_ref(),
+    metrics: {
+        throughput: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.arrived) / f.hours),
+            "arrivals per hour", "agents that arrive per hour", NUMBER, Higher, InFigures,
+            "Agents from route files that arrived, per hour.";
+        departures: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.departed) / f.hours),
+            "departures per hour", "agents that depart per hour", NUMBER, Higher, InEvaluations,
+            "Agents from route files that departed, per hour.";
+        delay: Option<Estimate> = |f| flow(f, |f| f.arrived > 0, |f| f.delay),
+            "delay", "time loss of an agent (s)", SECONDS, Lower, InFigures,
+            "Time that an agent that arrives loses against driving alone at the speed limits \
+             (SUMO's time loss).";
+        waiting: Option<Estimate> = |f| flow(f, |f| f.departed > 0, |f| f.waiting),
+            "departure delay", "wait for departure (s)", SECONDS, Lower, InEvaluations,
+            "Time that an agent waits for its departure, because no slot or no room on the road \
+             is free.";
+        queued: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.queued)),
+            "agents that still wait", "agents", NUMBER, Lower, InEvaluations,
+            "Agents that still wait for their departure at the end of an episode.";
+        on_road: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.on_road)),
+            "agents on the road", "agents", NUMBER, Neither, InEvaluations,
+            "Agents on the road at the end of an episode. They count as not arrived if they have \
+             been there for more than four times the time of their route at the speed limits; otherwise \
+             they do not count.";
+    }
+    more: {}
+}
+
+const LASTED: fn(&FlowMetrics) -> bool = |f| f.hours > 0.0;
+
+fn flow(
+    all: &[FlowMetrics],
+    chosen: fn(&FlowMetrics) -> bool,
+    of: fn(&FlowMetrics) -> f64,
+) -> Option<Estimate> {
+    Estimate::t(&all.iter().filter(|f| chosen(f)).map(of).collect::<Vec<_>>())
 }
 
 metrics! {
@@ -240,10 +284,12 @@ impl Metrics {
         if records.is_empty() || windows.is_empty() {
             return None;
         }
+        let flows: Vec<FlowMetrics> = records.iter().filter_map(|r| r.flow).collect();
         let background: Vec<BackgroundMetrics> = records.iter().filter_map(|r| r.others).collect();
         Some(Self {
             audit: records.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
             failures: records.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
+            flow: (!flows.is_empty()).then(|| FlowSummary::measure(&flows)),
             others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
             reconstruction: reconstruction.to_vec(),
             ..Self::measure(&Episodes { records, windows })

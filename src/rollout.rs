@@ -46,7 +46,7 @@ pub struct Rollout {
     pub comm: Vec<f32>,
     /// 1 where an agent acts, else 0, `[T + 1, E, N]`.
     pub active: Vec<f32>,
-    /// 1 where trajectories start and memories are cleared, else 0, `[T + 1, E]`.
+    /// 1 where trajectories start and memories are cleared, else 0, `[T + 1, E, N]`.
     pub start: Vec<f32>,
     /// Memory of the policy before the decision, `[T + 1, E, N, M]`.
     pub memory: Vec<f32>,
@@ -92,7 +92,7 @@ impl Rollout {
             state: vec![0.0; closed * sizes.state],
             comm: vec![0.0; closed * sizes.agents],
             active: vec![0.0; closed],
-            start: vec![0.0; (sizes.steps + 1) * sizes.envs],
+            start: vec![0.0; closed],
             memory: vec![0.0; closed * sizes.memory],
             graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
             action: vec![0.0; rows * sizes.actions],

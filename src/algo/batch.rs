@@ -60,8 +60,7 @@ impl Batch {
             ((s.steps * s.envs) as i64, ((s.steps + 1) * s.envs) as i64, s.agents as i64);
         let tensor =
             |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
-        let start = tensor(&rollout.start, &[closed, 1]);
-        let keep = (start.ones_like() - start).expand([closed, n], false).contiguous();
+        let start = tensor(&rollout.start, &[closed, n]);
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
         let per_step = [s.steps as i64, 1, 1];
         let fresh = if rollout.log_fresh.is_empty() {
@@ -75,7 +74,7 @@ impl Batch {
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
             comm: tensor(&rollout.comm, &[closed, n, n]),
             active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
-            keep,
+            keep: start.ones_like() - start,
             memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
             value_memory: Tensor::zeros([closed, n, 0], (Kind::Float, device)),
             policy_graph: tensor(&rollout.graph_noise, &policy_graph),

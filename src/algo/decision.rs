@@ -11,7 +11,7 @@ pub struct Observation {
     pub observation: Tensor,
     /// Physical mask, `[E, N, N]`; the diagonal is 1 where an agent is present.
     pub comm: Tensor,
-    /// 1 where a trajectory starts, else 0, `[E]`.
+    /// 1 where a trajectory starts, else 0, `[E, N]`.
     pub start: Tensor,
     /// Memory of the policy after the last decision, `[E, N, M]`.
     pub memory: Tensor,
@@ -28,15 +28,14 @@ impl Observation {
         Self {
             observation: part(&rollout.observation, s.observation),
             comm: part(&rollout.comm, s.agents),
-            start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+            start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
         }
     }
 
     /// Returns 0 where memories are cleared before the decision and 1 elsewhere, `[E, N]`.
     pub(super) fn keep(&self) -> Tensor {
-        let (envs, agents, _) = self.observation.size3().expect("observations are [E, N, O]");
-        (self.start.ones_like() - &self.start).view([envs, 1]).expand([envs, agents], false)
+        self.start.ones_like() - &self.start
     }
 
     /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the old

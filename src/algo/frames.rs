@@ -11,17 +11,17 @@ pub fn store_frames(env: &VecEnv, rollout: &mut Rollout, t: usize) {
     for (e, world) in env.worlds().enumerate() {
         let frame = world.frame();
         let cell = |width| rollout.cell(t, e, width);
-        let (observation, state, comm, active) =
+        let (observation, state, comm, each) =
             (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
         rollout.observation[observation].copy_from_slice(&frame.observation);
         rollout.state[state].copy_from_slice(&frame.state);
         rollout.comm[comm].copy_from_slice(&frame.comm);
-        rollout.active[active].copy_from_slice(&frame.active);
+        rollout.active[each.clone()].copy_from_slice(&frame.active);
+        rollout.start[each].copy_from_slice(&frame.start);
         if !frame.sharing.is_empty() && t < s.steps {
             rollout.sharing.resize(s.steps * s.envs * s.agents * s.agents, 0.0);
             let cell = rollout.cell(t, e, s.agents);
             rollout.sharing[cell].copy_from_slice(&frame.sharing);
         }
-        rollout.start[t * s.envs + e] = f32::from(u8::from(frame.start));
     }
 }

@@ -34,8 +34,8 @@ pub(super) struct SettingsArgs {
     #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
     /// Number of vehicles at spawn places, which are all agents unless
-    /// scenario.traffic.penetration is below 1
-    /// [default: the scenario's].
+    /// scenario.traffic.penetration is below 1; where agents come from route files, the most agents
+    /// on the road at a time [default: the scenario's].
     #[arg(long)]
     agents: Option<u32>,
     /// Seed of all random numbers [default: 0].

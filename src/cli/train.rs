@@ -102,7 +102,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
-    let learners = scenario.traffic.learners(config.agents);
+    let learners = scenario.slots(config.agents);
     let vehicles = if learners < config.agents {
         format!("{}, of which {learners} learn", counted(config.agents, "vehicle"))
     } else {

@@ -26,6 +26,11 @@ impl Values {
             values.preset(&STEERING);
         }
         values.follow("number of agents", |config| config.follow_agents(agents, steers));
+        if file.scenario.agents.come_from_files() {
+            // Who is on the road at the horizon of an open-ended flow is not late.
+            values
+                .follow("agents from route files", |config| config.train.bootstrap_horizon = true);
+        }
         values.follow("method", |config| config.follow_method(algorithm));
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.

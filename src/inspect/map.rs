@@ -88,7 +88,7 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
 pub fn page(task: &Task, net: &Net) -> String {
     let scenario = &task.scenario;
     let mut rows = String::new();
-    for (route, geometry) in scenario.routes.iter().zip(&task.map.routes) {
+    for (i, geometry) in task.map.routes.iter().enumerate() {
         let meets: Vec<String> = geometry
             .conflicts
             .iter()
@@ -99,8 +99,8 @@ pub fn page(task: &Task, net: &Net) -> String {
         let _ = writeln!(
             rows,
             "<tr><td>{}</td><td>{}</td><td>{:.1}</td><td>{}</td></tr>",
-            escaped(&route.id),
-            escaped(&route.edges.join(" ")),
+            escaped(task.map.route_id(i)),
+            escaped(&task.map.route_edges(i).join(" ")),
             geometry.arrival,
             escaped(&meets.join(", "))
         );

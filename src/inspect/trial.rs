@@ -136,7 +136,7 @@ impl Trial {
                 let crashed = world.agents().filter(|agent| agent.outcome.crashed);
                 trial
                     .collided_at_once
-                    .extend(crashed.map(|agent| scenario.routes[agent.route].id.clone()));
+                    .extend(crashed.map(|agent| task.map.route_id(agent.route).to_owned()));
             }
         }
         trial.steps_per_second = f64::from(steps) / begin.elapsed().as_secs_f64().max(1e-9);

@@ -1,6 +1,8 @@
 //! Warnings about settings of a scenario that are allowed but probably not intended: one function
 //! per rule.
 
+use std::collections::BTreeSet;
+
 use super::author::{State, state};
 use super::check::{Map, net_nodes};
 use super::reader::Reader;
@@ -42,6 +44,7 @@ pub(super) fn advise(
     findings.extend(unused(demand));
     findings.extend(left_out(&sound));
     findings.extend(adviser.nobody(&sound, demand));
+    findings.extend(adviser.stops(&sound, demand));
     findings
 }
 
@@ -178,19 +181,24 @@ impl Adviser<'_, '_, '_> {
                 let path = &map.paths[route];
                 let end =
                     path.arc(path.edges.len() - 1, self.scenario.routes[route].arrival_pos)?;
-                Some((self.time(map, path, path.arc(0, row.first)?, end), route))
+                let id = self.scenario.routes[route].id.as_str();
+                Some((self.time(map, path, path.arc(0, row.first)?, end), id))
             };
-            net.spawns
-                .iter()
+            let of_files = map.paths[self.scenario.routes.len()..].iter().zip(&map.of_files);
+            let of_files =
+                of_files.map(|(path, id)| (self.time(map, path, 0.0, path.length()), id.as_str()));
+            let placed = net.spawns.iter();
+            placed
                 .flat_map(move |row| row.routes.iter().filter_map(move |&route| trip(row, route)))
+                .chain(of_files)
         });
-        let (time, route) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        let (time, id) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (steps, horizon) =
             (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
         if PATIENCE * steps <= horizon {
             return None;
         }
-        let id = shorten(&self.scenario.routes[route].id);
+        let id = shorten(id);
         let message = format!(
             "route `{id}` takes {steps:.0} steps at the speed limit, but the horizon is {horizon} steps"
         );
@@ -333,10 +341,30 @@ impl Adviser<'_, '_, '_> {
         Some(self.warning("nobody-departs", ["traffic", "files"], message, &hint))
     }
 
+    /// Warns of agents from route files that have stops.
+    fn stops(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
+        let departures = maps.iter().flat_map(|(_, map)| &map.plan.departures);
+        let stops = departures.filter(|departure| !departure.stops.is_empty());
+        let stops: BTreeSet<usize> = stops
+            .map(|departure| departure.source)
+            .filter(|&source| self.scenario.agents.includes_some(demand, source))
+            .collect();
+        let first = &demand.sources[*stops.first()?];
+        let message = format!(
+            "agents make no stops, but {} of the route files' vehicles and flows that are agents have some, first the {} `{}`",
+            stops.len(),
+            first.element,
+            shorten(&first.id)
+        );
+        let hint = "delete the stops, or let other types and vehicles be agents";
+        Some(Finding::warning("agents-stop", first.place.clone(), message, hint))
+    }
+
     /// Warns of attributes that other values of the scenario make ineffective.
     fn without_effect(&self, findings: &mut Vec<Finding>) {
         let (s, o) = (self.scenario, &self.scenario.observation);
         let follows = s.control.steering.is_none();
+        let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
         let rules = [
             ("route", "offLane", follows, "vehicles do not steer"),
             ("termination", "border", follows, "vehicles do not steer"),
@@ -344,7 +372,10 @@ impl Adviser<'_, '_, '_> {
             ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
             ("observation", "foresight", o.encounters == 0, "encounters is 0"),
             ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
-            ("traffic", "type", s.traffic.penetration >= 1.0, "penetration is 1"),
+            ("jitter", "longitudinal", placeless, "there are no spawn places"),
+            ("jitter", "lateral", placeless, "there are no spawn places"),
+            ("traffic", "type", placeless, "there are no spawn places"),
+            ("traffic", "type", !placeless && s.traffic.penetration >= 1.0, "penetration is 1"),
             ("traffic", "capacity", s.traffic.files.is_empty(), "there are no files"),
             ("traffic", "begin", s.traffic.files.is_empty(), "there are no files"),
             ("traffic", "strict", s.traffic.files.is_empty(), "there are no files"),

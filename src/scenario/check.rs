@@ -1,9 +1,12 @@
 //! Checks a scenario against its nets: routes must be drivable, and finish lines and spawn places
 //! must lie on them.
 
+use std::collections::BTreeSet;
+
 use roxmltree::Node;
 
-use super::{Demand, DemandPlan, Error, Net, Place, Route, Scenario, reader::Reader};
+use super::model::ALL;
+use super::{AgentRange, Demand, DemandPlan, Error, Net, Place, Route, Scenario, reader::Reader};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -12,12 +15,15 @@ const SLACK: f64 = 1e-6;
 /// Hint for spawn places that are too close to each other or to the ends of an edge.
 const MOVE: &str = "move the places, lower their number, or make the longitudinal jitter smaller";
 
-/// A net and the centre lines of all routes through it.
+/// A net and the centre lines of the agents' routes through it.
 pub(super) struct Map {
     pub(super) net: net::Net,
+    /// Centre lines of the scenario's routes, then of those of agents from route files.
     pub(super) paths: Vec<Path>,
     /// What of the route files departs in this net.
     pub(super) plan: DemandPlan,
+    /// Ids of the routes of agents from route files.
+    pub(super) of_files: Vec<String>,
 }
 
 /// Result of [`files`].
@@ -47,7 +53,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         let (paths, wrong): (Vec<_>, Vec<_>) =
             routes.map(|(r, node)| route(scenario, r, &map, node, reader)).partition(Result::is_ok);
         errors.extend(wrong.into_iter().filter_map(Result::err));
-        let paths: Vec<Path> = paths.into_iter().flatten().collect();
+        let mut paths: Vec<Path> = paths.into_iter().flatten().collect();
         if paths.len() < scenario.routes.len() {
             return None;
         }
@@ -56,7 +62,24 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         let placed = spawns(scenario, net, &map, &paths, node, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, reader));
         placed.map_err(|error| errors.push(error)).ok()?;
-        Some(Map { net: map, paths, plan: plan.ok()? })
+        let plan = plan.ok()?;
+        let mut of_files = Vec::new();
+        if scenario.agents.come_from_files() {
+            let departures = plan.departures.iter();
+            let driven: BTreeSet<usize> = departures
+                .filter(|departure| scenario.agents.includes_some(&demand, departure.source))
+                .map(|departure| departure.route)
+                .collect();
+            if driven.is_empty() && net.capacity() == 0 && !demand.sources.is_empty() {
+                errors.push(no_agent(scenario, reader));
+                return None;
+            }
+            for route in driven {
+                paths.push(plan.routes[route].path.clone());
+                of_files.push(plan.routes[route].id.clone());
+            }
+        }
+        Some(Map { net: map, paths, plan, of_files })
     };
     let maps = scenario.nets.iter().zip(net_nodes(reader)).map(&mut check).collect();
     Checked { errors, maps, demand }
@@ -94,7 +117,56 @@ fn demand(scenario: &Scenario, reader: &Reader) -> Result<Demand, Error> {
             return Err(refuse("type", kind, allowed.into()));
         }
     }
+    agents(scenario, &demand, reader)?;
     Ok(demand)
+}
+
+/// Checks that the route files contain the vehicles and types that are agents.
+fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), Error> {
+    let refuse = |key, value: &str, allowed: String| {
+        Err(Error::value(reader.place_in("agents", key), "agents", key, value, allowed))
+    };
+    let walks = |mix: &[(usize, f64)]| mix.iter().any(|entry| demand.types[entry.0].walks);
+    let vehicles = || demand.sources.iter().filter(|source| !walks(&source.types));
+    for id in &scenario.agents.types {
+        if demand.mix(id).is_none_or(|mix| walks(&mix)) {
+            let known = demand.types.iter().filter(|kind| !kind.walks);
+            let similar = did_you_mean(nearest(id, known.map(|kind| kind.id.as_str())));
+            let allowed = "ids of vTypes or vTypeDistributions of vehicles in the files";
+            return refuse("types", id, format!("{allowed}{similar}"));
+        }
+    }
+    for id in scenario.agents.vehicles.iter().filter(|id| *id != ALL) {
+        if !vehicles().any(|source| source.id == *id) {
+            let similar = did_you_mean(nearest(id, vehicles().map(|source| source.id.as_str())));
+            let allowed = "ids of vehicles, trips and flows of vehicles in the files, or *";
+            return refuse("vehicles", id, format!("{allowed}{similar}"));
+        }
+    }
+    if !scenario.agents.come_from_files() {
+        return Ok(());
+    }
+    let (key, named) = named(scenario);
+    if !(0..demand.sources.len()).any(|source| scenario.agents.includes_some(demand, source)) {
+        return refuse(key, &named, "types that vehicles or flows of the files have".into());
+    }
+    if scenario.control.steering.is_some() {
+        return refuse(key, &named, "no value unless <control> has the mode `throttle`".into());
+    }
+    Ok(())
+}
+
+/// Returns the error of a scenario without spawn places in which no agent ever departs.
+fn no_agent(scenario: &Scenario, reader: &Reader) -> Error {
+    let (key, named) = named(scenario);
+    let allowed = "vehicles that can be used and depart within an episode";
+    Error::value(reader.place_in("agents", key), "agents", key, &named, allowed)
+}
+
+/// Returns the first attribute that names the agents from route files, and its value.
+fn named(scenario: &Scenario) -> (&'static str, String) {
+    let AgentRange { types, vehicles, .. } = &scenario.agents;
+    if types.is_empty() { ("vehicles", vehicles.join(" ")) } else { ("types", types.join(" ")) }
 }
 
 /// Returns an error for the first edge of `brokenLines` that the net does not have.

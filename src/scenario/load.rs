@@ -74,7 +74,8 @@ impl Scenario {
         }
     }
 
-    /// Returns the smallest net with a spawn place for each of `agents` agents.
+    /// Returns the smallest net with a spawn place for each of `agents` agents, or for as many as
+    /// the largest net has places if further agents come from route files.
     ///
     /// # Errors
     /// [`Error::Agents`] if the scenario does not accept this number.
@@ -85,7 +86,8 @@ impl Scenario {
             return Err(refuse(max));
         }
         let largest = self.nets.iter().map(Net::capacity).max().unwrap_or(0);
-        let large_enough = self.nets.iter().filter(|net| net.capacity() >= agents);
+        let placed = if self.agents.come_from_files() { agents.min(largest) } else { agents };
+        let large_enough = self.nets.iter().filter(|net| net.capacity() >= placed);
         large_enough.min_by_key(|net| net.capacity()).ok_or_else(|| refuse(largest))
     }
 }
@@ -111,13 +113,17 @@ impl Reader<'_, '_> {
             path: self.path.into(),
             description: description.split_whitespace().collect::<Vec<_>>().join(" "),
             agents: agents(root, &nets)?,
-            nets,
             routes,
             vehicle: part::<Vehicle>(root, "vehicle")?,
-            jitter: part::<Jitter>(root, "jitter")?,
+            jitter: match root.child("jitter") {
+                Some(jitter) => Jitter::read(&jitter, "")?,
+                None if nets.iter().all(|net| net.spawns.is_empty()) => Jitter::default(),
+                None => return Err(root.reader.missing(root.node, "element", "jitter")),
+            },
             control: control(root)?,
             observation: observation(root)?,
             reward: part::<Reward>(root, "reward")?,
+            nets,
             termination: part::<Termination>(root, "termination")?,
             communication: part::<Communication>(root, "communication")?,
             traffic: traffic(root)?,
@@ -143,12 +149,31 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
     let range = AgentRange::read(&element, "")?;
     let largest = nets.iter().map(Net::capacity).max().unwrap_or(0);
     let refuse = |key, allowed: String| Err(element.reader.value(element.node, key, allowed));
+    let from_files = range.come_from_files();
+    if from_files && root.child("traffic").is_none_or(|t| t.attribute("files").is_none()) {
+        let key = if range.types.is_empty() { "vehicles" } else { "types" };
+        return refuse(key, "no value unless <traffic> has the attribute `files`".into());
+    }
+    if !from_files && largest == 0 {
+        let net = require(root, "nets")?.children("net").next();
+        let error = net.map(|net| net.reader.missing(net.node, "element", "spawn"));
+        let hint = "add spawn places, or name vehicles of route files in the attribute types or vehicles of <agents>";
+        return Err(error.map_or_else(
+            || root.reader.missing(root.node, "element", "nets"),
+            |error| error.hinted(hint),
+        ));
+    }
+    if let (0, Some(second)) = (largest, require(root, "nets")?.children("net").nth(1)) {
+        let message = "a second net without spawn places: the number of places chooses the net";
+        return Err(second.reader.invalid(second.node.range().start, message.into()));
+    }
     let places = "the number of places of the largest net";
-    if range.min > largest {
+    if range.min > largest && !from_files {
         return refuse("min", format!("1 to {largest}, {places}"));
     }
-    if range.max < range.min || range.max > largest {
-        return refuse("max", format!("{} (`min`) to {largest}, {places}", range.min));
+    if range.max < range.min || (range.max > largest && !from_files) {
+        let most = if from_files { "more".into() } else { format!("{largest}, {places}") };
+        return refuse("max", format!("{} (`min`) to {most}", range.min));
     }
     if !(range.min..=range.max).contains(&range.default) {
         return refuse("default", format!("whole number from {} to {}", range.min, range.max));
@@ -158,7 +183,7 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
 
 fn routes(root: &Element) -> Result<Vec<Route>, Error> {
     let (mut routes, mut ids) = (Vec::new(), HashSet::new());
-    for element in require(root, "routes")?.children("route") {
+    for element in root.child("routes").iter().flat_map(|routes| routes.children("route")) {
         let route = Route::read(&element, "")?;
         let special = |c: char| c.is_whitespace() || "|\\'\";,<>&".contains(c);
         if route.id.is_empty() || route.id.chars().any(special) {

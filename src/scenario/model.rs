@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use super::Error;
 use super::attribute::{Field, Tag, Value, element, words};
 use super::demand::seconds;
 use super::observation::Observation;
 use super::reader::Element;
+use super::{Demand, Error, Source};
 
 /// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,8 +43,8 @@ pub struct Scenario {
 }
 
 element! {
-    /// Number of agents that a scenario accepts.
-    #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+    /// Number of agents that a scenario accepts, and which vehicles of the route files are agents.
+    #[derive(Debug, Clone, Default, PartialEq, Eq)]
     pub struct AgentRange {
         /// Smallest number.
         pub min: u32,
@@ -52,6 +52,12 @@ element! {
         pub max: u32,
         /// Number if the user does not specify one.
         pub default: u32,
+        /// Agents among the vehicles of the route files, by the ids of their types or
+        /// distributions of types.
+        pub types: Vec<String>,
+        /// Agents among the vehicles of the route files, by the ids of vehicles and flows; `*`: all
+        /// of them.
+        pub vehicles: Vec<String>,
     }
 }
 
@@ -126,7 +132,7 @@ element! {
 element! {
     /// Random displacement of vehicles from their spawn places: uniform in plus or minus each
     /// value.
-    #[derive(Debug, Clone, Copy, PartialEq)]
+    #[derive(Debug, Clone, Copy, Default, PartialEq)]
     pub struct Jitter {
         /// Along the lane \[m\].
         pub longitudinal: f64,
@@ -293,8 +299,8 @@ element! {
     /// Background traffic: vehicles and pedestrians that SUMO moves.
     #[derive(Debug, Clone, PartialEq)]
     pub struct Traffic {
-        /// Share of agents among the vehicles at spawn places, above 0 to 1; SUMO drives the
-        /// others.
+        /// Share of agents among the vehicles at spawn places, and among those of the route files
+        /// that [`AgentRange`] names, above 0 to 1; SUMO drives the others.
         pub penetration: f64,
         /// Type of the background vehicles at spawn places, an id from [`Traffic::files`]. Without
         /// it, these vehicles have the agents' size and abilities.
@@ -358,6 +364,49 @@ element! {
         pub range: f64,
     }
 }
+
+impl Scenario {
+    /// Returns how many vehicles start at spawn places if `agents` is the number of agents: all of
+    /// them, or as many as there are places if further agents come from route files.
+    pub fn placed(&self, agents: u32) -> u32 {
+        if !self.agents.come_from_files() {
+            return agents;
+        }
+        agents.min(self.nets.iter().map(Net::capacity).max().unwrap_or(0))
+    }
+
+    /// Returns the number of agent slots if `agents` is the number of agents: without the vehicles
+    /// at spawn places that SUMO drives, unless further agents come from route files.
+    pub fn slots(&self, agents: u32) -> u32 {
+        if self.agents.come_from_files() { agents } else { self.traffic.learners(agents) }
+    }
+}
+
+impl AgentRange {
+    /// Returns whether vehicles of the route files are agents.
+    pub fn come_from_files(&self) -> bool {
+        !self.types.is_empty() || !self.vehicles.is_empty()
+    }
+
+    /// Returns whether a vehicle or flow of the route files yields agents if its vehicle has the
+    /// type `kind`, an index into [`Demand::types`].
+    pub fn includes(&self, demand: &Demand, source: &Source, kind: usize) -> bool {
+        let listed =
+            |id: &String| demand.mix(id).is_some_and(|mix| mix.iter().any(|m| m.0 == kind));
+        let named = self.vehicles.iter().any(|id| id == ALL || *id == source.id);
+        !demand.types[kind].walks && (named || self.types.iter().any(listed))
+    }
+
+    /// Returns whether some vehicles of a vehicle or flow of the route files, given by its index
+    /// into [`Demand::sources`], may be agents.
+    pub fn includes_some(&self, demand: &Demand, source: usize) -> bool {
+        let source = &demand.sources[source];
+        source.types.iter().any(|entry| self.includes(demand, source, entry.0))
+    }
+}
+
+/// Name of all vehicles of the route files in [`AgentRange::vehicles`].
+pub(super) const ALL: &str = "*";
 
 impl Net {
     /// Returns the number of spawn places.

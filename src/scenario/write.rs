@@ -4,7 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::attribute::{Field, Tag};
 use super::schema::describe;
-use super::{Scenario, Traffic};
+use super::{Jitter, Scenario, Traffic};
 use crate::markup::Writer;
 
 impl Scenario {
@@ -21,9 +21,11 @@ impl Scenario {
             .element("description", &self.description);
         let root = &mut Tag::new(&mut xml, describe());
         root.fields("agents", &self.agents);
-        root.element("routes", |tag| {
-            self.routes.iter().for_each(|route| tag.fields("route", route));
-        });
+        if !self.routes.is_empty() {
+            root.element("routes", |tag| {
+                self.routes.iter().for_each(|route| tag.fields("route", route));
+            });
+        }
         root.element("nets", |tag| {
             for net in &self.nets {
                 tag.element("net", |tag| {
@@ -42,7 +44,9 @@ impl Scenario {
             }
         });
         root.fields("vehicle", &self.vehicle);
-        root.fields("jitter", &self.jitter);
+        if self.jitter != Jitter::default() || self.nets.iter().any(|net| !net.spawns.is_empty()) {
+            root.fields("jitter", &self.jitter);
+        }
         root.element("control", |tag| {
             tag.attribute("mode", self.control.mode());
             self.control.write(tag, "");

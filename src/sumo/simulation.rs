@@ -136,6 +136,8 @@ pub struct VehicleType {
     pub length: f64,
     /// Width \[m\].
     pub width: f64,
+    /// Vehicle class; `None`: SUMO's default, a passenger car.
+    pub class: Option<String>,
     /// Highest speed \[m/s\].
     pub max_speed: f64,
     /// Acceleration ability in SUMO's car-following model \[m/s²\].
@@ -167,8 +169,8 @@ pub struct Route {
 /// Background traffic: vehicles that SUMO drives, and pedestrians.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct BackgroundTraffic {
-    /// First slot of the background traffic, which also uses all following slots.
-    /// [`Snapshot::bodies`] gives its poses.
+    /// First slot whose pose [`Snapshot::bodies`] gives, as it does for all following slots: that
+    /// of the background traffic, or 0 if agents depart where SUMO chooses.
     pub first_slot: u32,
     /// `<vType>` elements in SUMO's format.
     pub definitions: String,

@@ -39,6 +39,9 @@ impl Trainer {
             });
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
+                if correlated && t > 0 {
+                    renew(&mut noise, &self.env, s.actions, &seed.child("noise").index(t as u64));
+                }
                 noise.advance(&mut rng);
                 let mut carried = Tensor::zeros([0], FLOAT);
                 if correlated {
@@ -91,6 +94,21 @@ impl Trainer {
             store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
         }
         Ok(())
+    }
+}
+
+/// Makes the noise of agents that departed in the middle of an episode independent of the agents
+/// that had their slots before.
+fn renew(noise: &mut CorrelatedNoise, env: &VecEnv, actions: usize, seed: &Seed) {
+    let mut first = 0;
+    for (e, world) in env.worlds().enumerate() {
+        for (i, start) in world.frame().start.iter().enumerate() {
+            if *start > 0.0 && world.step_count() > 0 {
+                let at = first + i * actions;
+                noise.renew(at..at + actions, &mut seed.index(e as u64).index(i as u64).rng());
+            }
+        }
+        first += world.frame().start.len() * actions;
     }
 }
 

@@ -60,7 +60,8 @@ pub enum Error {
     },
     /// The least number of agents in an episode exceeds the number of agents.
     #[error(
-        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents"
+        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents{}",
+        if *agents == 0 { " that start at spawn places" } else { "" }
     )]
     TooFew {
         /// The setting `train.fewest_agents`.

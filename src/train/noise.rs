@@ -47,6 +47,12 @@ impl CorrelatedNoise {
         self.begun = true;
     }
 
+    /// Makes the noise of these entries independent of the steps before: that of an agent that takes
+    /// over a slot. Its strength remains the same.
+    pub(super) fn renew(&mut self, entries: std::ops::Range<usize>, rng: &mut Rng) {
+        rng::fill_normal(rng, &mut self.values[entries]);
+    }
+
     /// Returns the standard normal numbers that were drawn for the current step.
     pub(super) fn drawn(&self) -> &[f32] {
         &self.drawn
@@ -101,6 +107,20 @@ mod tests {
                 before = now;
             }
         }
+    }
+
+    #[test]
+    fn renewed_entries_do_not_depend_on_the_past() {
+        let renewed = |past: u64| {
+            let mut noise = CorrelatedNoise::new(4, 0.9);
+            noise.advance(&mut Seed::new(past).rng());
+            noise.renew(2..4, &mut Seed::new(7).rng());
+            noise.advance(&mut Seed::new(8).rng());
+            noise.carried().to_vec()
+        };
+        let (a, b) = (renewed(1), renewed(2));
+        assert_eq!(a[2..], b[2..]);
+        assert!(a[0] != b[0] && a[1] != b[1] && a[2] != 0.0);
     }
 
     #[test]

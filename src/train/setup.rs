@@ -25,8 +25,10 @@ impl Trainer {
             tracing::warn!("{line}");
         }
         let fewest = config.train.fewest_agents;
-        if fewest > config.agents {
-            return Err(Error::TooFew { fewest, agents: config.agents });
+        let flow = scenario.agents.come_from_files();
+        let most = if flow { task.starting as u32 } else { config.agents };
+        if fewest > most {
+            return Err(Error::TooFew { fewest, agents: most });
         }
         if fewest > 0 {
             task = task.with_fewest(fewest as usize);

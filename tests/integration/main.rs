@@ -12,6 +12,7 @@ mod calibration;
 mod command_line;
 mod damaged_files;
 mod dependencies;
+mod flows;
 mod hosting;
 mod layers;
 mod learners;

@@ -375,7 +375,7 @@ fn decisions_and_values() {
         let input = Observation {
             observation: case.get("observation"),
             comm: case.get("comm"),
-            start: case.get("start"),
+            start: case.get("start").unsqueeze(-1).expand([3, 3], false),
             memory: if remembers { case.get("memory") } else { nothing() },
         };
         let present = case.get("present");

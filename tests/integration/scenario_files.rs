@@ -51,7 +51,10 @@ fn close(a: [f64; 2], b: [f64; 2]) -> bool {
 fn the_shipped_scenario_is_the_task() {
     let scenario = shipped();
     assert_eq!(scenario.name, "intersection");
-    assert_eq!(scenario.agents, AgentRange { min: 4, max: 48, default: 8 });
+    assert_eq!(
+        scenario.agents,
+        AgentRange { min: 4, max: 48, default: 8, ..AgentRange::default() }
+    );
     assert_eq!(scenario.nets.iter().map(Net::capacity).collect::<Vec<_>>(), [8, 16, 32, 48]);
     assert_eq!(scenario.vehicle, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 });
     assert_eq!(scenario.jitter, Jitter { longitudinal: 1.0, lateral: 0.25 });
@@ -415,7 +418,11 @@ prop_compose! {
             name,
             path: "some/folder/x.xml".into(),
             description: words.join(" "),
-            agents: AgentRange { min, max, default: min },
+            agents: AgentRange {
+                min, max, default: min,
+                types: ["car", "bus"].iter().take(counts[2] % 3).map(|&id| id.into()).collect(),
+                vehicles: ["*"].iter().take(counts[0] % 2).map(|&id| id.into()).collect(),
+            },
             nets,
             routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: false, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },

@@ -107,7 +107,14 @@ pub(super) fn run(args: &Sim) -> anyhow::Result<()> {
     }
     let mut workloads = Vec::new();
     for &agents in &args.agents {
-        workloads.push(Workload::new(Task::new(&scenario, agents)?, args.control, args.audit));
+        let task = Task::new(&scenario, agents)?;
+        if task.starting < task.agents {
+            anyhow::bail!(
+                "`{}` has agents that do not start at spawn places; the benchmark needs a scenario without `types` and `vehicles` in <agents>",
+                args.scenario.display()
+            );
+        }
+        workloads.push(Workload::new(task, args.control, args.audit));
     }
     if args.compare {
         let mut lines = Vec::new();

@@ -4,11 +4,13 @@
 //! The agents' slots come first, then those of background traffic. An agent's slot is *empty*,
 //! then *active* (an agent drives), then either empty again (the agent has arrived) or a *wreck*
 //! (the agent has crashed or is off-road), which is an obstacle for a while before the slot is
-//! empty. No slot becomes active twice in an episode.
+//! empty. A slot becomes active again in the same episode only with an agent from a route file, and
+//! is empty for at least one frame in between.
 
 use nalgebra::Vector2;
 
 use super::geometry::{Pose, Size, Stance};
+use super::trips::Departure;
 use super::vehicle::tyres::Motion;
 
 /// A vehicle whose centre is more than this far past a conflict point has left it with its whole
@@ -73,6 +75,8 @@ pub(crate) struct Slot {
     pub(crate) held: Option<f64>,
     /// Whether SUMO has put the vehicle on the road.
     pub(crate) departed: bool,
+    /// How an agent from a route file departed; `None` for all other vehicles.
+    pub(crate) departure: Option<Departure>,
     /// Steps for which a wreck remains.
     pub(crate) wreck_steps: u32,
     /// Priority: vehicles with a smaller number came near a conflict point earlier. 0: the vehicle
@@ -88,6 +92,18 @@ pub(crate) struct Slot {
     pub(crate) outcome: Outcome,
     /// The agent's first crash.
     pub(crate) crash: Option<Crash>,
+}
+
+impl Slot {
+    /// Whether a vehicle can be put into the slot.
+    pub(super) fn is_free(&self) -> bool {
+        self.status == Status::Empty && !self.added
+    }
+
+    /// Whether SUMO has been given the agent of a route file and has not yet found room for it.
+    pub(super) fn is_waiting(&self) -> bool {
+        self.departure.is_some() && self.added && !self.departed
+    }
 }
 
 /// How an agent crashed.

@@ -188,6 +188,12 @@ impl Pairs {
         }
     }
 
+    /// Notes that the slot gets another vehicle, which forms pairs of its own.
+    pub(super) fn renew(&mut self, slot: u32) {
+        let old = self.0.iter_mut().filter(|pair| pair.slots.0 == slot || pair.slots.1 == slot);
+        old.for_each(|pair| pair.slots = (u32::MAX, u32::MAX));
+    }
+
     fn entry(&mut self, a: u32, b: u32) -> &mut Pair {
         let slots = (a.min(b), a.max(b));
         let at = self.0.iter().position(|pair| pair.slots == slots).unwrap_or_else(|| {

@@ -1,11 +1,13 @@
 //! Background traffic: the vehicles that SUMO drives, and pedestrians. This module decides when
-//! they depart, reads where they are, and turns them into wrecks after collisions.
+//! the vehicles of the route files depart and which of them are agents, reads where background
+//! traffic is, and turns its vehicles into wrecks after collisions.
 //!
 //! A background vehicle is on the lane that SUMO reports: after a change of lanes, its route becomes
 //! the one along the new lane ([`LaneRoutes`](super::lane_routes::LaneRoutes)).
 //!
 //! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
-//! spawn places, then those of the route files, as many as the scenario's capacity allows. A
+//! spawn places, then those of the route files, as many as the scenario's capacity allows. Agents
+//! from route files get free slots among the agents'. A
 //! background vehicle that collides with an agent or a wreck becomes a wreck itself, for as long
 //! as an agent's wreck. Collisions of background vehicles with each other are left to SUMO.
 
@@ -16,8 +18,9 @@ use super::collisions::Collisions;
 use super::effects::Effects;
 use super::geometry::Pose;
 use super::metrics::BackgroundMetrics;
-use super::motion::NO_CHECKS;
-use super::task::Task;
+use super::motion::{NO_CHECKS, SUMO_CHECKS};
+use super::task::{Driver, Task};
+use super::trips::Departure;
 use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
 use crate::sumo::{Command, Snapshot};
@@ -30,6 +33,8 @@ struct Clock {
     next: f64,
     /// Number of departures left.
     left: u64,
+    /// Source of the decisions which vehicles are agents.
+    roles: Rng,
     /// Vehicles that are due and not on the road yet.
     due: Option<Due>,
 }
@@ -45,24 +50,28 @@ struct Due {
     count: u64,
     /// Time at which they are due, from the start of the episode \[s\].
     time: f64,
+    /// Whether the first of them is an agent.
+    is_agent: bool,
 }
 
 /// The background traffic of an episode. Its slots are given to the methods as a slice without
 /// those of the agents.
 #[derive(Debug, Clone)]
 pub(super) struct Background {
+    driver: Driver,
     clocks: Vec<Clock>,
     effects: Effects,
 }
 
 impl Background {
-    pub(super) fn new(task: &Task) -> Self {
+    pub(super) fn new(task: &Task, driver: Driver) -> Self {
         let clocks = Vec::with_capacity(task.map.plan.sources.len());
-        Self { clocks, effects: Effects::new(task.agents, task.others) }
+        Self { driver, clocks, effects: Effects::new(task.agents, task.others) }
     }
 
     /// Begins a new episode: empties the slots and adds the vehicles that start at spawn places,
-    /// given as route and position of the centre \[m\].
+    /// given as route and position of the centre \[m\]. `slots` are those of the agents and of the
+    /// background traffic.
     pub(super) fn spawn(
         &mut self,
         task: &Task,
@@ -81,16 +90,18 @@ impl Background {
             if !matches!(source.spacing, Spacing::Equal(_)) {
                 next += gap(source.spacing, &mut rng);
             }
-            self.clocks.push(Clock { rng, next, left: source.number, due: None });
+            let roles = seed.child("agents").index(source.source as u64).rng();
+            self.clocks.push(Clock { rng, next, left: source.number, roles, due: None });
         }
         let mut rng = seed.child("places").rng();
-        for (slot, i) in slots.iter_mut().zip(task.agents as u32..) {
+        let others = &mut slots[task.agents..];
+        for (slot, i) in others.iter_mut().zip(task.agents as u32..) {
             if slot.added {
                 commands.push(Command::Remove { world, slot: i });
             }
             *slot = Slot::default();
         }
-        for ((slot, i), &(route, s)) in slots.iter_mut().zip(task.agents as u32..).zip(places) {
+        for ((slot, i), &(route, s)) in others.iter_mut().zip(task.agents as u32..).zip(places) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
             *slot = Slot { route, assigned: route, size, added: true, ..Slot::default() };
             commands.push(Command::Add {
@@ -106,6 +117,7 @@ impl Background {
     }
 
     /// Appends the commands of the coming exchange, `now` seconds after the start of the episode.
+    /// `slots` are those of the agents and of the background traffic.
     pub(super) fn act(
         &mut self,
         task: &Task,
@@ -114,7 +126,7 @@ impl Background {
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
-        for (i, slot) in slots.iter_mut().enumerate() {
+        for (i, slot) in slots[task.agents..].iter_mut().enumerate() {
             if slot.status != Status::Wreck {
                 continue;
             }
@@ -135,7 +147,8 @@ impl Background {
     }
 
     /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
-    /// the other vehicles wait.
+    /// the other vehicles wait. Agents that wait depart in the order of their times, so that no flow
+    /// gets every slot that becomes free.
     fn let_depart(
         &mut self,
         task: &Task,
@@ -144,29 +157,84 @@ impl Background {
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
-        let free = |slot: &Slot| slot.status == Status::Empty && !slot.added;
-        let mut vacant = task.placed;
-        for (source, clock) in task.map.plan.sources.iter().zip(&mut self.clocks) {
-            while let Some(due) = clock.due(task, source, now) {
-                let Some(i) = (vacant..slots.len()).find(|&i| free(&slots[i])) else {
-                    return;
-                };
-                vacant = i + 1;
-                let due = Due { count: due.count - 1, ..due };
-                clock.due = Some(due).filter(|due| due.count > 0);
-                let (vehicle_type, size) = task.demand_type(due.kind);
-                let route = task.map.plan.departures[due.departure].route;
-                slots[i] = Slot { route, assigned: route, size, added: true, ..Slot::default() };
-                commands.push(Command::Depart {
-                    world,
-                    slot: (task.agents + i) as u32,
-                    departure: due.departure as u32,
-                    vehicle_type,
-                    // The stops of a flow are timed from its first departure.
-                    until_from_now: due.time - source.begin - now,
-                });
+        let sources = &task.map.plan.sources;
+        let mut vacant = task.agents + task.placed;
+        loop {
+            let mut agent: Option<(usize, Due)> = None;
+            for (index, (source, clock)) in sources.iter().zip(&mut self.clocks).enumerate() {
+                while let Some(due) = clock.due(task, source, now) {
+                    if due.is_agent {
+                        if agent.is_none_or(|(_, first)| due.time < first.time) {
+                            agent = Some((index, due));
+                        }
+                        break;
+                    }
+                    let found = (vacant..slots.len()).find(|&i| slots[i].is_free());
+                    vacant = found.map_or(slots.len(), |i| i + 1);
+                    let Some(i) = found else { break };
+                    clock.take(task, source);
+                    let (vehicle_type, size) = task.demand_type(due.kind);
+                    let route = task.map.plan.departures[due.departure].route;
+                    slots[i] =
+                        Slot { route, assigned: route, size, added: true, ..Slot::default() };
+                    commands.push(Command::Depart {
+                        world,
+                        slot: i as u32,
+                        departure: due.departure as u32,
+                        vehicle_type,
+                        // The stops of a flow are timed from its first departure.
+                        until_from_now: due.time - source.begin - now,
+                    });
+                }
+            }
+            let free = (0..task.agents).find(|&i| slots[i].is_free());
+            let (Some((index, due)), Some(i)) = (agent, free) else { return };
+            self.clocks[index].take(task, &sources[index]);
+            let (vehicle_type, size) = task.agent_type(self.driver, due.kind);
+            let planned = &task.map.plan.departures;
+            let route = planned[due.departure].route;
+            let departure = Some(Departure::new(task, due.departure, due.time));
+            slots[i] =
+                Slot { route, assigned: route, size, added: true, departure, ..Slot::default() };
+            let (slot, departure) = (i as u32, (planned.len() + due.departure) as u32);
+            let mode = if self.driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
+            // Agents make no stops.
+            let until_from_now = 0.0;
+            commands.push(Command::Depart { world, slot, departure, vehicle_type, until_from_now });
+            commands.push(Command::SpeedMode { world, slot, mode });
+            if task.map.several_lanes {
+                commands.push(Command::KeepLane { world, slot });
             }
         }
+    }
+
+    /// Returns whether vehicles that may be agents will depart from now on.
+    pub(super) fn expects_agents(&self, task: &Task) -> bool {
+        let sources = task.map.plan.sources.iter().zip(&self.clocks);
+        sources.into_iter().any(|(source, clock)| {
+            let due = clock.due.is_some_and(|due| due.is_agent || due.count > 1);
+            task.may_be_agents(source.source) && (due || clock.left > 0 && clock.next < source.end)
+        })
+    }
+
+    /// Returns how many agents wait for a free slot, `now` seconds after the start of the episode.
+    pub(super) fn queued(&self, task: &Task, now: f64) -> u32 {
+        let sources = task.map.plan.sources.iter().zip(&self.clocks);
+        let waiting = sources.filter(|(source, _)| task.may_be_agents(source.source));
+        let waiting = waiting.map(|(source, clock)| {
+            let (mut clock, mut count) = (clock.clone(), 0);
+            while let Some(due) = clock.due(task, source, now) {
+                count += u32::from(due.is_agent);
+                clock.take(task, source);
+            }
+            count
+        });
+        waiting.sum()
+    }
+
+    /// Notes that the slot of an agent gets another agent.
+    pub(super) fn renew(&mut self, agent: usize) {
+        self.effects.renew(agent);
     }
 
     /// Reads from the snapshot where the vehicles are, and which have come or gone.
@@ -278,10 +346,27 @@ impl Clock {
             let part = scale.fract() > 0.0 && self.rng.random::<f64>() < scale.fract();
             let count = scale as u64 + u64::from(part);
             if let Some(departure) = departure.filter(|_| count > 0) {
-                self.due = Some(Due { kind, departure, count, time });
+                let is_agent = self.is_agent(task, source, kind);
+                self.due = Some(Due { kind, departure, count, time, is_agent });
             }
         }
         self.due
+    }
+
+    /// Removes the first of the vehicles that are due, which departs.
+    fn take(&mut self, task: &Task, source: &PlannedSource) {
+        self.due = self.due.filter(|due| due.count > 1).map(|due| Due {
+            count: due.count - 1,
+            is_agent: self.is_agent(task, source, due.kind),
+            ..due
+        });
+    }
+
+    /// Draws whether a vehicle of this type is an agent.
+    fn is_agent(&mut self, task: &Task, source: &PlannedSource, kind: usize) -> bool {
+        let share = task.scenario.traffic.penetration;
+        task.recruits.get(source.source).is_some_and(|recruits| recruits[kind])
+            && (share >= 1.0 || self.roles.random::<f64>() < share)
     }
 }
 

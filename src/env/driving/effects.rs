@@ -88,6 +88,12 @@ impl Effects {
         }
     }
 
+    /// Notes that the slot of an agent gets another agent.
+    pub(super) fn renew(&mut self, agent: usize) {
+        let count = self.road_users.len();
+        self.passes[agent * count..][..count].fill(NOT_YET);
+    }
+
     /// Notes that a vehicle or pedestrian collided with an agent or a wreck.
     pub(super) fn crash(&mut self, road_user: usize) {
         self.road_users[road_user].crashed = true;

@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use super::agents::{Crash, Slot, Status};
+use super::agents::Crash;
+use super::trips::Trip;
 use crate::words::counted;
 
 /// A crash counts as upstream when the first conflict point of the agent's route is farther ahead
@@ -57,15 +58,15 @@ fn most(counts: &BTreeMap<String, u32>) -> String {
 
 impl Failures {
     /// Returns why agents have not arrived. `routes` are the names of the routes.
-    pub(super) fn of(agents: &[Slot], routes: &[String]) -> Self {
+    pub(super) fn of(trips: &[Trip], routes: &[String]) -> Self {
         let mut failures = Self::default();
-        for slot in agents {
-            failures.unfinished += u32::from(slot.status == Status::Active);
-            if slot.outcome.out_of_road && slot.crash.is_none() {
-                failures.leave(&routes[slot.route]);
+        for trip in trips {
+            failures.unfinished += u32::from(trip.unfinished);
+            if trip.outcome.out_of_road && trip.crash.is_none() {
+                failures.leave(&routes[trip.route]);
             }
-            if let Some(crash) = slot.crash.filter(|_| !slot.outcome.arrived) {
-                failures.add(&crash, [slot.route, crash.other].map(|route| routes[route].as_str()));
+            if let Some(crash) = trip.crash.filter(|_| !trip.outcome.arrived) {
+                failures.add(&crash, [trip.route, crash.other].map(|route| routes[route].as_str()));
             }
         }
         failures

@@ -19,8 +19,9 @@ pub struct Frame {
     pub comm: Vec<f32>,
     /// `[N]`, 1 where an agent acts in the coming step.
     pub active: Vec<f32>,
-    /// Whether a new episode starts with this frame, so that memories are cleared.
-    pub start: bool,
+    /// `[N]`, 1 where a slot's new trajectory starts with this frame, so that memories are cleared:
+    /// in all slots with a new episode, and in the slot of an agent that departs later.
+    pub start: Vec<f32>,
     /// `[N]`, each agent's own reward of the last step.
     pub reward: Vec<f32>,
     /// Which agents share in each other's advantages, `[N, N]`: 1 where they are no further apart
@@ -46,7 +47,7 @@ impl Frame {
             state: vec![0.0; n * task.spec.state.len()],
             comm: vec![0.0; n * n],
             active: vec![0.0; n],
-            start: false,
+            start: vec![0.0; n],
             reward: vec![0.0; n],
             sharing: vec![0.0; if shares { n * n } else { 0 }],
             terminated: vec![0.0; n],
@@ -57,7 +58,7 @@ impl Frame {
 
     /// Begins the frame after a respawn (`start`) or a step: nobody has ended yet.
     pub(super) fn begin(&mut self, start: bool) {
-        self.start = start;
+        self.start.fill(f32::from(u8::from(start)));
         self.terminated.fill(0.0);
         self.truncated.fill(0.0);
     }
@@ -97,7 +98,7 @@ impl Frame {
         }
         self.reward.fill(0.0);
         self.terminated.fill(0.0);
-        self.start = false;
+        self.start.fill(0.0);
         self.interrupted = true;
     }
 }

@@ -64,6 +64,8 @@ pub struct Map {
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
     pub(super) route_edges: Vec<Vec<String>>,
+    /// Time that each route takes at the speed limits of lanes and vehicle \[s\].
+    pub(super) free_time: Vec<f64>,
     /// Who departs from the route files, and how. The routes are indices into [`Map::routes`].
     pub(super) plan: DemandPlan,
     /// Parts of each route that lie in junctions.
@@ -135,6 +137,7 @@ impl Map {
         Ok(Self {
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
+            free_time: lanes.iter().map(|path| free_time(&net, scenario, path)).collect(),
             junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
             given,
             lane_routes,
@@ -160,6 +163,11 @@ impl Map {
     /// it is from there.
     pub fn route_id(&self, route: usize) -> &str {
         &self.route_ids[route]
+    }
+
+    /// Returns the ids of a route's edges.
+    pub fn route_edges(&self, route: usize) -> &[String] {
+        &self.route_edges[route]
     }
 
     /// Returns the path of the net's file.
@@ -222,6 +230,14 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
         route
     };
     (0..lanes.len()).into_par_iter().map(lay).collect()
+}
+
+fn free_time(net: &Net, scenario: &Scenario, path: &Path) -> f64 {
+    let time = |&lane: &usize| {
+        let speed = net.lanes[lane].speed.min(scenario.vehicle.max_speed).max(0.1);
+        net.lanes[lane].length / speed
+    };
+    path.lanes.iter().map(time).sum()
 }
 
 fn bounds(paths: &[Path]) -> [f64; 4] {

@@ -5,8 +5,10 @@ use serde::{Deserialize, Serialize};
 
 use super::audit::Audit;
 use super::failures::Failures;
+use super::trips::FlowMetrics;
 
-/// Metrics of one finished episode. Shares are fractions of the episode's N agents.
+/// Metrics of one finished episode. Shares are fractions of the episode's agents, without those
+/// from route files that are on the road at the end and not late (`trips.rs`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct EpisodeRecord {
     /// Number of the episode in its seed stream.
@@ -46,6 +48,9 @@ pub struct EpisodeRecord {
     pub audit: Audit,
     /// Why agents did not arrive.
     pub failures: Failures,
+    /// Flow of the agents from route files; `None` in tasks without them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flow: Option<FlowMetrics>,
     /// Effects on background traffic; `None` in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub others: Option<BackgroundMetrics>,

@@ -8,6 +8,8 @@ use super::task::{Driver, Task};
 use super::vehicle::longitudinal;
 use crate::sumo::{Command, Snapshot};
 
+/// SUMO's speed mode with all checks of SUMO's own driver.
+pub(super) const SUMO_CHECKS: i32 = 31;
 /// SUMO's speed mode with every check off.
 pub(super) const NO_CHECKS: i32 = 32;
 
@@ -41,7 +43,7 @@ pub(super) fn act(
                     move_to_pose(task, world, at, slot, commands);
                 }
             }
-            Status::Empty if slot.added => {
+            Status::Empty if slot.added && !slot.is_waiting() => {
                 slot.added = false;
                 commands.push(Command::Remove { world, slot: at });
             }
@@ -149,11 +151,14 @@ pub(super) fn place(
     let steers = task.steers(driver);
     for (i, slot) in agents.iter_mut().enumerate() {
         slot.before = slot.pose;
-        if slot.status == Status::Empty {
+        if slot.status == Status::Empty && !slot.is_waiting() {
             continue;
         }
         let route = &task.map.routes[slot.route];
         let Some(vehicle) = snapshot.vehicles.get(first + i).copied().flatten() else {
+            if slot.is_waiting() {
+                continue;
+            }
             if slot.departed
                 && steers
                 && (slot.track != Track::Route || slot.status == Status::Wreck)
@@ -166,6 +171,11 @@ pub(super) fn place(
                 // With SUMO's driver, a wreck may reach the end of its route before it has
                 // stopped.
                 (slot.status, slot.added) = (Status::Empty, false);
+            } else if let Some(front) = front_at_its_end(task, slot) {
+                // SUMO removes vehicles of route files where they arrive.
+                (slot.s, slot.added) = (route.path.length(), false);
+                let (point, heading) = route.path.at(front - slot.size[0] / 2.0);
+                slot.pose = Pose::beside(point, heading, 0.0);
             } else if slot.departed || driver != Driver::Sumo {
                 // SUMO's driver may have to wait for room before it departs, but a vehicle that
                 // has departed must not disappear.
@@ -179,6 +189,21 @@ pub(super) fn place(
             }
             continue;
         };
+        let body = snapshot.bodies.get(first + i).copied().flatten();
+        let departs = slot.is_waiting();
+        if let (Some(departure), Some(body)) = (&mut slot.departure, body) {
+            departure.time_loss = body.time_loss;
+            if departs {
+                // SUMO chose the place on the first edge.
+                let lanes = route.lanes();
+                let end = lanes.lane_stretches().next().map_or(0.0, |(_, _, end)| end);
+                let (_, last) = lanes.locate(end * (1.0 - 1e-9));
+                let (front, ..) = lanes.nearest_of([body.x, body.y], 0..last + 1);
+                departure.origin = lanes.distance_of_arc(front) - vehicle.distance;
+                departure.step = step;
+                (slot.status, slot.speed) = (Status::Active, vehicle.speed);
+            }
+        }
         slot.departed = true;
         if driver == Driver::Sumo {
             slot.speed = vehicle.speed;
@@ -189,14 +214,29 @@ pub(super) fn place(
                 route.path.project(slot.pose.point(), slot.segment);
             continue;
         }
-        let half = task.scenario.vehicle.length / 2.0;
-        let front = route.lanes().arc_of_distance(vehicle.distance);
+        let half = slot.size[0] / 2.0;
+        let origin = slot.departure.map_or(0.0, |departure| departure.origin);
+        let front = route.lanes().arc_of_distance(vehicle.distance + origin);
         let (point, heading, segment) = route.lanes().body(front, 2.0 * half);
         let (sin, cos) = heading.sin_cos();
         slot.pose =
             Pose::beside([point[0] - half * cos, point[1] - half * sin], heading, slot.lateral);
         slot.s = route.on_path(front - half);
         slot.segment = segment;
+        if departs {
+            slot.before = slot.pose;
+        }
     }
     Ok(())
+}
+
+/// Returns the position of the front of an agent from a route file that reached the end of its trip
+/// in the last step \[m\]; `None` if it did not.
+fn front_at_its_end(task: &Task, slot: &Slot) -> Option<f64> {
+    let end = slot.departure.filter(|_| slot.status == Status::Active)?.end;
+    let speed = slot.speed.max(task.scenario.vehicle.max_speed);
+    let front = slot.s + slot.size[0] / 2.0;
+    // A vehicle that SUMO drives may have gained some speed in the step.
+    let within = (speed + 1.0) * task.scenario.control.interval + 0.5;
+    (end - front <= within).then_some(end.max(front))
 }

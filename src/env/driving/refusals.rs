@@ -1,7 +1,7 @@
 //! Lets everyone of the route files depart once, alone, to find those whom SUMO refuses.
 
 use super::error::Error;
-use super::task::Task;
+use super::task::{Driver, Task};
 use crate::scenario::LeftOut;
 use crate::sumo::{self, Backend, Command, Hosting};
 
@@ -31,9 +31,7 @@ impl Task {
         let (world, slot) = (0, (self.agents + self.placed) as u32);
         for (index, planned) in plan.departures.iter().enumerate() {
             let source = &self.demand.sources[planned.source];
-            for &(kind, _) in source.types.iter().filter(|entry| entry.1 > 0.0) {
-                let (vehicle_type, _) = self.demand_type(kind);
-                let departure = index as u32;
+            for (departure, vehicle_type) in self.departures(index) {
                 let until_from_now = -source.begin;
                 let depart =
                     Command::Depart { world, slot, departure, vehicle_type, until_from_now };
@@ -57,5 +55,25 @@ impl Task {
             }
         }
         Ok(refused)
+    }
+
+    /// Returns the departures, as indices into those that SUMO knows, and the vehicle types with
+    /// which departure number `planned` of the plan takes place: as background traffic, and as an
+    /// agent that acts.
+    fn departures(&self, planned: usize) -> Vec<(u32, u32)> {
+        let count = self.map.plan.departures.len();
+        let source = self.map.plan.departures[planned].source;
+        let (recruits, share) = (self.recruits.get(source), self.scenario.traffic.penetration);
+        let mut all = Vec::new();
+        for &(kind, _) in self.demand.sources[source].types.iter().filter(|entry| entry.1 > 0.0) {
+            let may_be_agent = recruits.is_some_and(|recruits| recruits[kind]);
+            if may_be_agent {
+                all.push(((count + planned) as u32, self.agent_type(Driver::Agents, kind).0));
+            }
+            if !may_be_agent || share < 1.0 {
+                all.push((planned as u32, self.demand_type(kind).0));
+            }
+        }
+        all
     }
 }

@@ -62,7 +62,8 @@ impl Rewards {
         let (steers, wreck_steps) = (task.steers(driver), task.wreck_steps());
         let mut sum = 0.0;
         for (i, slot) in agents.iter_mut().enumerate() {
-            if slot.status != Status::Active {
+            // An agent that has just departed has not acted yet.
+            if slot.status != Status::Active || slot.departure.is_some_and(|d| d.step == step) {
                 continue;
             }
             let route = &task.map.routes[slot.route];
@@ -99,7 +100,7 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
         slot.track == Track::Lost || task.map.road().left_by(&slot.pose)
     } else {
         let lane = route.path.widths[slot.segment];
-        slot.lateral.abs() > (lane - task.scenario.vehicle.width) / 2.0 - BORDER_MARGIN
+        slot.lateral.abs() > ((lane - slot.size[1]) / 2.0 - BORDER_MARGIN).max(0.0)
     };
     let finish = route.finish[0]..=route.finish[1];
     let arrived = slot.s >= route.arrival && (!steers || finish.contains(&slot.lateral));
@@ -122,6 +123,9 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
         let reward = rewards.progress * distance + rewards.speed * speed / Reward::SPEED_UNIT;
         let lane = task.map.routes[slot.route].path.widths[slot.segment];
         let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
-        if off { task.scenario.routes[slot.route].off_lane * reward } else { reward }
+        match task.scenario.routes.get(slot.route) {
+            Some(route) if off => route.off_lane * reward,
+            _ => reward,
+        }
     }
 }

@@ -2,14 +2,11 @@
 
 use super::agents::{Slot, Status};
 use super::geometry::Pose;
-use super::motion::NO_CHECKS;
+use super::motion::{NO_CHECKS, SUMO_CHECKS};
 use super::task::{AGENT_TYPE, Driver, SUMO_TYPE, Task};
 use super::vehicle::tyres::Motion;
 use crate::rng::{self, Rng};
 use crate::sumo::Command;
-
-/// SUMO's speed mode with all checks of SUMO's own driver.
-const SUMO_CHECKS: i32 = 31;
 
 /// The vehicles with which an episode begins.
 pub(super) struct Spawned {
@@ -37,7 +34,7 @@ pub(super) fn spawn(
         if driver == Driver::Sumo { (SUMO_TYPE, SUMO_CHECKS) } else { (AGENT_TYPE, NO_CHECKS) };
     // The number is drawn only if there is a choice, so that the other random numbers do not
     // depend on this setting.
-    let choice = task.agents - task.fewest;
+    let choice = task.starting - task.fewest;
     let active_agents = task.fewest + if choice > 0 { rng::below(rng, choice + 1) } else { 0 };
     let mut taken = Vec::new();
     let mut draw = |place: usize, rng: &mut Rng| {
@@ -95,6 +92,7 @@ pub(super) fn spawn(
             commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
         }
     }
-    let others = (task.agents..task.agents + task.placed).map(|place| draw(place, rng)).collect();
+    let others =
+        (task.starting..task.starting + task.placed).map(|place| draw(place, rng)).collect();
     Spawned { active_agents, others }
 }

@@ -7,7 +7,7 @@ use super::map::Map;
 use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
-    Control, Demand, Finish, PlannedDeparture, Scenario, SpawnPlace, Start, VehicleKind,
+    Control, Demand, Finish, PlannedDeparture, Scenario, Source, SpawnPlace, Start, VehicleKind,
 };
 use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
 
@@ -40,7 +40,10 @@ pub struct Task {
     /// Number of background vehicles that start at spawn places; their slots come before those of
     /// the route files' vehicles.
     pub(super) placed: usize,
-    /// Least number of agents in an episode: each episode has a random number from this one to N.
+    /// Largest number of agents that start at spawn places.
+    pub starting: usize,
+    /// Least number of agents that start at spawn places: each episode has a random number from
+    /// this one to [`Task::starting`].
     pub fewest: usize,
     /// Spawn places, at least as many as vehicles that start at spawn places.
     pub places: Vec<SpawnPlace>,
@@ -48,6 +51,9 @@ pub struct Task {
     pub map: Map,
     /// Contents of the route files.
     pub(super) demand: Demand,
+    /// For every vehicle and flow of the route files, which of [`Demand::types`] are agents; empty
+    /// if all agents start at spawn places.
+    pub(super) recruits: Vec<Vec<bool>>,
     /// Vehicle types of the background traffic at spawn places, with their weights; empty if these
     /// vehicles have the agents' size and abilities.
     pub(super) place_mix: Vec<(usize, f64)>,
@@ -63,15 +69,24 @@ pub struct Task {
 
 impl Task {
     /// Loads the net for `vehicles` vehicles at spawn places, of which the scenario's share are
-    /// agents, and works out the conflicts between the routes.
+    /// agents, and works out the conflicts between the routes. If agents come from route files,
+    /// `vehicles` is the number of agent slots, and as many vehicles start at spawn places as there
+    /// are places for.
     ///
     /// # Errors
     /// If the scenario does not take this number of vehicles, or if its net or route files cannot
     /// be read or driven.
     pub fn new(scenario: &Scenario, vehicles: u32) -> Result<Self, Error> {
         let choice = scenario.net_for(vehicles)?;
-        let agents = scenario.traffic.learners(vehicles);
+        let (agents, placed) = (scenario.slots(vehicles), scenario.placed(vehicles));
+        let starting = if placed > 0 { scenario.traffic.learners(placed) } else { 0 };
         let demand = Demand::load(&scenario.traffic.files)?;
+        let of_kinds = |source: &Source| {
+            let includes = |kind| scenario.agents.includes(&demand, source, kind);
+            (0..demand.types.len()).map(includes).collect()
+        };
+        let from_files = scenario.agents.come_from_files();
+        let recruits = demand.sources.iter().filter(|_| from_files).map(of_kinds).collect();
         let place_mix =
             scenario.traffic.kind.as_ref().and_then(|kind| demand.mix(kind)).unwrap_or_default();
         let map = Map::new(scenario, &demand, &choice.file)?;
@@ -84,12 +99,14 @@ impl Task {
         let (state, known) = Layout::new(state::GROUPS, scenario);
         Ok(Self {
             agents: agents as usize,
-            others: (vehicles - agents + capacity) as usize,
-            placed: (vehicles - agents) as usize,
-            fewest: agents as usize,
+            others: (placed - starting + capacity) as usize,
+            placed: (placed - starting) as usize,
+            starting: starting as usize,
+            fewest: starting as usize,
             places: choice.places().collect(),
             map,
             demand,
+            recruits,
             place_mix,
             reserved,
             spec: EnvSpec {
@@ -104,11 +121,11 @@ impl Task {
         })
     }
 
-    /// Returns the same task with a random number of agents in each episode, from `fewest` (at
-    /// least 1) to N.
+    /// Returns the same task with a random number of agents at spawn places in each episode, from
+    /// `fewest` (at least 1) to the largest number.
     #[must_use]
     pub fn with_fewest(self, fewest: usize) -> Self {
-        Self { fewest: fewest.clamp(1, self.agents), ..self }
+        Self { fewest: fewest.max(1).min(self.starting), ..self }
     }
 
     /// Returns a line about vehicles and persons of the route files that are left out; `None` if
@@ -137,7 +154,28 @@ impl Task {
     /// files.
     pub(super) fn demand_type(&self, kind: usize) -> (u32, Size) {
         let VehicleKind { length, width, .. } = self.demand.types[kind];
-        (SUMO_TYPE + 1 + kind as u32, [length, width])
+        let ours = if self.has_flow() { self.demand.types.len() } else { 0 };
+        (SUMO_TYPE + 1 + (ours + kind) as u32, [length, width])
+    }
+
+    /// Returns the same as [`Task::demand_type`] for an agent: a type with the size and class of
+    /// that type and the abilities of agents, or that type itself where SUMO drives.
+    pub(super) fn agent_type(&self, driver: Driver, kind: usize) -> (u32, Size) {
+        let (index, size) = self.demand_type(kind);
+        let ours = SUMO_TYPE + 1 + kind as u32;
+        (if driver == Driver::Sumo { index } else { ours }, size)
+    }
+
+    /// Returns whether vehicles of a vehicle or flow of the route files may be agents.
+    pub(super) fn may_be_agents(&self, source: usize) -> bool {
+        let recruits = self.recruits.get(source);
+        let types = &self.demand.sources[source].types;
+        recruits.is_some_and(|recruits| types.iter().any(|entry| recruits[entry.0]))
+    }
+
+    /// Returns whether agents come from route files.
+    pub(super) fn has_flow(&self) -> bool {
+        !self.recruits.is_empty()
     }
 
     /// Returns the index in SUMO's list and the size of a vehicle type for background traffic at
@@ -158,6 +196,7 @@ impl Task {
             id: id.to_owned(),
             length: vehicle.length,
             width: vehicle.width,
+            class: None,
             max_speed: vehicle.max_speed,
             accel: control.accel,
             decel: hardest.min(4.5),
@@ -165,6 +204,7 @@ impl Task {
             min_gap,
             tau: 1.0,
         };
+        let kinds = self.demand.types.iter().filter(|_| self.has_flow());
         SimulationConfig {
             net: self.map.net_file().to_owned(),
             step_length: control.interval,
@@ -177,7 +217,16 @@ impl Task {
             // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
             // gap, but one that is small enough for vehicles to depart from neighbouring places
             // under the largest jitter.
-            vehicle_types: vec![vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)],
+            vehicle_types: [vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)]
+                .into_iter()
+                .chain(kinds.map(|kind| VehicleType {
+                    length: kind.length,
+                    width: kind.width,
+                    class: Some(kind.class.to_owned()),
+                    // Agents from route files depart with the gap that SUMO's cars keep.
+                    ..vehicle_type(&self.unused_type(&kind.id), 2.5)
+                }))
+                .collect(),
             routes: (self.map.route_ids.iter().zip(&self.map.route_edges).zip(&self.map.routes))
                 .take(self.map.given)
                 .map(|((id, edges), geometry)| Route {
@@ -190,7 +239,16 @@ impl Task {
         }
     }
 
-    /// Returns what SUMO needs to know about background traffic.
+    /// Returns an id for the type of agents that have the size of the type `id`.
+    fn unused_type(&self, id: &str) -> String {
+        let mut own = format!("agent:{id}");
+        while self.demand.types.iter().any(|kind| kind.id == own) {
+            own.push('_');
+        }
+        own
+    }
+
+    /// Returns what SUMO needs to know about background traffic and about agents from route files.
     fn road_users(&self) -> BackgroundTraffic {
         let departure = |planned: &PlannedDeparture| {
             let route = planned.route as u32;
@@ -216,13 +274,32 @@ impl Task {
             }
         };
         let departures = &self.map.plan.departures;
+        let agents = departures.iter().filter(|_| self.has_flow());
+        // An agent keeps the lane of its path, drives no faster than agents can, and makes no stops.
+        let agent = |mut departure: Departure| {
+            if let Departure::Drive { route, lane, speed, arrival_lane, stops, .. } = &mut departure
+            {
+                *lane = self.map.routes[*route as usize].first_lane.to_string();
+                let most = self.scenario.vehicle.max_speed;
+                if speed.parse().is_ok_and(|speed: f64| speed > most) {
+                    *speed = most.to_string();
+                }
+                "current".clone_into(arrival_lane);
+                stops.clear();
+            }
+            departure
+        };
         let name = |planned: &PlannedDeparture| self.demand.sources[planned.source].name();
         BackgroundTraffic {
-            first_slot: self.agents as u32,
+            first_slot: if self.has_flow() { 0 } else { self.agents as u32 },
             definitions: self.demand.definitions.clone(),
             types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
-            departures: departures.iter().map(departure).collect(),
-            names: departures.iter().map(name).collect(),
+            departures: departures
+                .iter()
+                .map(departure)
+                .chain(agents.clone().map(|planned| agent(departure(planned))))
+                .collect(),
+            names: departures.iter().chain(agents).map(name).collect(),
         }
     }
 }

@@ -6,6 +6,8 @@
 //! bootstrapped. The respawn travels in the next exchange, so that every world takes exactly one
 //! exchange per step, however it is hosted.
 
+mod record;
+
 use std::sync::Arc;
 
 use super::agents::{Slot, Status, Traffic};
@@ -14,7 +16,6 @@ use super::collisions::Collisions;
 use super::comm::physical_mask;
 use super::episode::{Episode, Phase, WorldState};
 use super::error::Error;
-use super::failures::Failures;
 use super::frame::{AgentView, Frame, OtherView};
 use super::geometry::Pose;
 use super::intention::{Intentions, Knowledge};
@@ -26,6 +27,7 @@ use super::reward::Rewards;
 use super::right_of_way::RightOfWay;
 use super::spawn::spawn;
 use super::task::{Driver, Task};
+use super::trips::Trips;
 use crate::rng::Seed;
 use crate::sumo::{Command, Snapshot};
 
@@ -43,6 +45,7 @@ pub struct World {
     collisions: Collisions,
     rewards: Rewards,
     loitering: Vec<Loitering>,
+    trips: Trips,
     /// Total distance that the agents have driven in this episode \[m\].
     distance: f64,
     frame: Frame,
@@ -75,10 +78,11 @@ impl World {
                 driver == Driver::Rules,
                 slots,
             ),
-            background: Background::new(&task),
+            background: Background::new(&task, driver),
             collisions: Collisions::new(slots),
             rewards: Rewards::new(n),
             loitering: vec![Loitering::default(); n],
+            trips: Trips::default(),
             distance: 0.0,
             frame: Frame::new(&task),
             finished: None,
@@ -232,10 +236,10 @@ impl World {
             Phase::Running => {
                 self.episode.note(actions);
                 let (task, now) = (&self.task, self.now());
-                let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
-                motion::act(task, self.driver, world, actions, agents, commands);
+                let slots = &mut self.traffic.slots;
+                motion::act(task, self.driver, world, actions, &mut slots[..task.agents], commands);
                 if task.others > 0 {
-                    self.background.act(task, world, now, others, commands);
+                    self.background.act(task, world, now, slots, commands);
                 }
             }
         }
@@ -248,13 +252,17 @@ impl World {
             return;
         }
         let (task, seed) = (&self.task, self.episode.seed());
-        let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
-        let spawned = spawn(task, self.driver, world, &mut seed.rng(), agents, commands);
+        let (driver, slots) = (self.driver, &mut self.traffic.slots);
+        let agents = &mut slots[..task.agents];
+        let spawned = spawn(task, driver, world, &mut seed.rng(), agents, commands);
         if task.others > 0 {
             let seed = seed.child("traffic");
-            self.background.spawn(task, world, seed, &spawned.others, others, commands);
+            self.background.spawn(task, world, seed, &spawned.others, slots, commands);
         }
-        self.rewards.begin(spawned.active_agents);
+        // With agents from route files, rewards are per slot.
+        let shares = if task.has_flow() { task.agents } else { spawned.active_agents };
+        self.rewards.begin(shares);
+        self.trips.begin();
         self.collisions.begin();
         self.loitering.fill(Loitering::default());
         self.distance = 0.0;
@@ -281,6 +289,7 @@ impl World {
                 self.episode.step += 1;
                 self.rewards.before(&self.traffic.slots);
                 self.place(world, snapshot)?;
+                self.welcome();
                 self.judge(world, snapshot);
                 for (reward, own) in self.frame.reward.iter_mut().zip(&self.rewards.own) {
                     *reward = *own as f32;
@@ -290,7 +299,7 @@ impl World {
         self.relate();
         let acting = self.mark_present();
         self.write_views();
-        if acting == 0 {
+        if acting == 0 && !self.goes_on() {
             let record = self.record(false);
             self.episode.end(record.success >= 1.0);
             self.finished = Some(record);
@@ -317,6 +326,30 @@ impl World {
         Ok(())
     }
 
+    /// Prepares for the agents that the step has brought onto the road: nothing of those that had
+    /// their slots before is left.
+    fn welcome(&mut self) {
+        let step = self.episode.step;
+        for (i, slot) in self.traffic.slots[..self.task.agents].iter().enumerate() {
+            if slot.departed && slot.departure.is_some_and(|departure| departure.step == step) {
+                self.frame.start[i] = 1.0;
+                self.loitering[i] = Loitering::default();
+                self.collisions.pairs.renew(i as u32);
+                self.background.renew(i);
+            }
+        }
+    }
+
+    /// Whether the episode goes on although no agent acts: the horizon has not been reached, and
+    /// agents from route files are still to come.
+    fn goes_on(&self) -> bool {
+        let task = &self.task;
+        let waits = |slot: &Slot| slot.is_waiting();
+        self.episode.step < task.scenario.termination.horizon
+            && (self.traffic.slots[..task.agents].iter().any(waits)
+                || self.background.expects_agents(task))
+    }
+
     /// Finds out how the step went: collisions, ends and rewards.
     fn judge(&mut self, world: u32, snapshot: &Snapshot) {
         let (task, now) = (&*self.task, self.now());
@@ -336,6 +369,11 @@ impl World {
             &mut self.traffic.slots[..n],
             &mut self.frame.terminated,
         );
+        for (i, loitering) in self.loitering.iter().enumerate() {
+            if self.frame.terminated[i] > 0.0 {
+                self.trips.end(i, &self.traffic.slots[i], loitering);
+            }
+        }
         self.background.meet_agents(task, now, &self.collisions, &mut self.traffic.slots);
     }
 
@@ -391,38 +429,5 @@ impl World {
             slot: 0,
         };
         self.frame.write_views(task, &view, &self.present);
-    }
-
-    /// Returns the record of the current episode.
-    fn record(&mut self, interrupted: bool) -> EpisodeRecord {
-        let (agents, others) = self.traffic.slots.split_at(self.task.agents);
-        let n = self.rewards.active_agents as f64;
-        let share =
-            |flag: fn(&Slot) -> bool| agents.iter().filter(|slot| flag(slot)).count() as f64 / n;
-        let success = share(|slot| slot.outcome.arrived);
-        let danger = share(|slot| slot.outcome.crashed || slot.outcome.out_of_road);
-        let loitering = self.loitering.iter().filter(|loitering| loitering.is_long()).count();
-        let background = || self.background.metrics(&self.task, others);
-        EpisodeRecord {
-            episode: self.episode.index,
-            episode_length: self.episode.step,
-            success,
-            safety: 1.0 - danger,
-            crash: share(|slot| slot.outcome.crashed),
-            out_of_road: share(|slot| slot.outcome.out_of_road),
-            reward: self.rewards.total,
-            efficiency: (success - danger) * n / f64::from(self.episode.step.max(1)),
-            sumo_collisions: self.collisions.pairs.of_sumo(),
-            own_collisions: self.collisions.pairs.of_ours(),
-            distance_km: self.distance / 1000.0,
-            crashes: self.collisions.crashes,
-            loitering: loitering as f64 / n,
-            audit: self.collisions.pairs.audit(),
-            failures: Failures::of(agents, &self.task.map.route_ids),
-            others: (self.task.others > 0).then(background),
-            interrupted,
-            replayed: self.episode.is_replayed(),
-            step_rewards: std::mem::take(&mut self.rewards.steps),
-        }
     }
 }

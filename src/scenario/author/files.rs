@@ -169,8 +169,12 @@ impl Layout {
             (PATIENCE * longest / (pace * scenario.control.interval) / 100.0).ceil() * 100.0;
         scenario.name.clone_from(&self.name);
         scenario.description = description;
-        scenario.agents =
-            AgentRange { min: agents.min(places).min(2), max: places, default: agents.min(places) };
+        scenario.agents = AgentRange {
+            min: agents.min(places).min(2),
+            max: places,
+            default: agents.min(places),
+            ..AgentRange::default()
+        };
         scenario.nets = vec![Net { file: self.net.clone(), spawns }];
         scenario.routes = routes;
         scenario.vehicle.max_speed = speed;

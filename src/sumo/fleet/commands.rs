@@ -25,6 +25,9 @@ impl Fleet {
             types.copy("DEFAULT_VEHTYPE", &kind.id);
             types.set_length(&kind.id, kind.length);
             types.set_width(&kind.id, kind.width);
+            if let Some(class) = &kind.class {
+                types.set_vehicle_class(&kind.id, class);
+            }
             types.set_min_gap(&kind.id, kind.min_gap);
             types.set_max_speed(&kind.id, kind.max_speed);
             types.set_accel(&kind.id, kind.accel);

@@ -166,11 +166,37 @@ fn an_empty_slot_changes_nothing() {
         let small = Observation {
             observation: without(&input.observation),
             comm: without(&input.comm).index_select(2, &rest),
-            start: input.start.copy(),
+            start: without(&input.start),
             memory: without(&input.memory),
         };
         let gap = without(&five.act(&input, &ActMode::Deterministic).action);
         let none = four.act(&small, &ActMode::Deterministic).action;
         assert!((gap - none).abs().max().double_value(&[]) < 1e-4, "{name} {encoder:?}");
+    });
+}
+
+/// An agent that takes over a slot remembers nothing of the agent before it, and the others keep
+/// their memories.
+#[test]
+fn a_new_agent_in_a_slot_has_no_memory() {
+    each(|name, encoder| {
+        let learner = loud(name, &spec(4), &small(encoder));
+        let old = observation(&*learner, noise(1, &[2, 4, 4]), complete(2, 4));
+        let new = observation(&*learner, noise(1, &[2, 4, 4]), complete(2, 4));
+        let _ = new.start.select(1, 2).fill_(1.0);
+        let cleared = old.memory.copy();
+        let _ = cleared.select(1, 2).fill_(0.0);
+        let expected = Observation { memory: cleared, ..old };
+        let found = learner.act(&new, &ActMode::Deterministic);
+        let expected = learner.act(&expected, &ActMode::Deterministic);
+        for (found, expected) in
+            [(&found.action, &expected.action), (&found.memory, &expected.memory)]
+        {
+            assert_eq!(found.size(), expected.size(), "{name} {encoder:?}");
+            assert!(
+                found.numel() == 0 || (found - expected).abs().max().double_value(&[]) < 1e-6,
+                "{name} {encoder:?}"
+            );
+        }
     });
 }

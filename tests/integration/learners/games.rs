@@ -64,7 +64,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
     rollout.active.fill(1.0);
     rollout.comm.fill(1.0);
     for t in (0..=sizes.steps).step_by(game.steps()) {
-        rollout.start[t * e..(t + 1) * e].fill(1.0);
+        let cell = rollout.at(t, 1);
+        rollout.start[cell].fill(1.0);
     }
     for t in (game.steps() - 1..sizes.steps).step_by(game.steps()) {
         let cell = rollout.at(t, 1);
@@ -103,7 +104,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             let input = Observation {
                 observation: shaped(x, o),
                 comm: Tensor::ones([e as i64, n as i64, n as i64], (Kind::Float, Device::Cpu)),
-                start: Tensor::from_slice(&rollout.start[t * e..(t + 1) * e]),
+                start: shaped(&rollout.start[rollout.at(t, 1)], 1).squeeze_dim(-1),
                 memory: shaped(&memory, sizes.memory),
             };
             let graph = if learner.graphs() > 0 {

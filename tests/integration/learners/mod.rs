@@ -81,7 +81,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
     Observation {
         observation: x,
         comm,
-        start: Tensor::zeros([e], (Kind::Float, Device::Cpu)),
+        start: Tensor::zeros([e, n], (Kind::Float, Device::Cpu)),
         memory,
     }
 }
@@ -129,6 +129,12 @@ fn pairs() -> Tensor {
 /// Returns a rollout of random numbers in which agents end and their slots start new trajectories
 /// later.
 fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout {
+    rollout_with(learner, agents, seed, false)
+}
+
+/// Returns such a rollout in which, with `newcomers`, new agents come into slots that were empty for
+/// a step.
+fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bool) -> Rollout {
     let sizes = Sizes {
         steps: 16,
         envs: 3,
@@ -159,12 +165,17 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
         for i in 0..agents {
             let mut alive = true;
             for t in 0..=sizes.steps {
-                // A new episode begins in the whole environment at step 8.
-                if t == 8 {
-                    alive = true;
-                    rollout.start[t * sizes.envs + e] = 1.0;
-                }
                 let at = (t * sizes.envs + e) * agents + i;
+                // A new episode begins in the whole environment at step 8.
+                let comes = newcomers
+                    && t > 0
+                    && !alive
+                    && rollout.active[at - sizes.envs * agents] == 0.0
+                    && rng::below(&mut rng, 3) == 0;
+                if t == 8 || comes {
+                    alive = true;
+                    rollout.start[at] = 1.0;
+                }
                 rollout.active[at] = f32::from(u8::from(alive));
                 if t < sizes.steps && alive && (rng::below(&mut rng, 6) == 0 || t == 7) {
                     rollout.terminated[at] = 1.0;

@@ -9,7 +9,7 @@ use tch::{Device, Kind, Tensor};
 
 use super::{
     PACE, STILL, bits, build, complete, each, loud, noise, nothing, observation, random_rollout,
-    reported, small, spec,
+    reported, rollout_with, small, spec,
 };
 
 #[test]
@@ -127,7 +127,7 @@ fn an_update_sees_the_policy_that_acted() {
             return;
         }
         let mut learner = loud(name, &spec(4), &small(encoder));
-        let mut rollout = random_rollout(&*learner, 4, 3);
+        let mut rollout = rollout_with(&*learner, 4, 3, true);
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout);
         // Log-probabilities of correlated noise are conditional on the noise of the step before.
@@ -160,7 +160,7 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let input = Observation {
             observation: part(&rollout.observation, s.observation),
             comm: part(&rollout.comm, s.agents),
-            start: Tensor::from_slice(&rollout.start[t * s.envs..(t + 1) * s.envs]),
+            start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
         };
         let graph = if s.graphs > 0 {

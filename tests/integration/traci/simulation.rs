@@ -74,6 +74,7 @@ fn config(slots: u32) -> SimulationConfig {
         audit: true,
         others: None,
         vehicle_types: vec![VehicleType {
+            class: None,
             id: "car".into(),
             length: LENGTH,
             width: 1.852,

@@ -38,7 +38,7 @@ proptest! {
             exchange(&mut world, &mut rails, &actions);
             let finished = world.take_finished();
             let frame = world.frame();
-            if frame.start {
+            if frame.start[0] > 0.0 {
                 dead.clear();
                 let active_agents = frame.active.iter().filter(|&&a| a == 1.0).count();
                 prop_assert!(active_agents >= fewest.min(n));
@@ -48,7 +48,7 @@ proptest! {
                 let (terminated, truncated) = (frame.terminated[i] > 0.0, frame.truncated[i] > 0.0);
                 let present = frame.comm[i * n + i] > 0.0;
                 prop_assert!(!(terminated && truncated), "an end is one or the other");
-                if frame.start {
+                if frame.start[0] > 0.0 {
                     prop_assert!(!terminated && !truncated);
                 } else {
                     prop_assert_eq!(terminated || truncated, was_active && !active, "an end is where activity ends");
@@ -132,7 +132,7 @@ fn episodes_may_have_fewer_agents() {
     while counts.len() < 6 {
         exchange(&mut world, &mut rails, &[0.6; 8]);
         let frame = world.frame();
-        if frame.start {
+        if frame.start[0] > 0.0 {
             active_agents = frame.active.iter().filter(|&&active| active > 0.0).count();
             assert!(
                 frame.active[..active_agents].iter().all(|&active| active > 0.0),
@@ -193,7 +193,7 @@ fn an_interrupted_episode_is_truncated_and_the_next_one_starts_clean() {
     // The fresh simulator is empty: a `Remove` would fail the check in `Rails`.
     let mut rails = Rails::new(&task);
     exchange(&mut world, &mut rails, &[0.0; 4]);
-    assert!(world.frame().start && !world.frame().interrupted);
+    assert!(world.frame().start == [1.0; 4] && !world.frame().interrupted);
     assert_eq!(world.episode(), 1);
 }
 

@@ -3,6 +3,7 @@
 //! `tests/`.
 
 mod episodes;
+mod flow;
 mod intention;
 mod observation;
 mod others;
@@ -40,12 +41,21 @@ pub(crate) fn net(name: &str) -> Net {
 /// A fake simulator whose vehicles keep to their routes' paths, and which checks every command.
 struct Rails {
     task: Arc<Task>,
+    /// Route, position of the front and speed of each slot's vehicle.
     vehicles: Vec<Option<(usize, f64, f64)>>,
+    /// Slots of vehicles that wait until their place on the road is free.
+    waiting: HashSet<usize>,
+    /// Position at which each vehicle departed, if the fake simulator chose it.
+    departed: Vec<f64>,
 }
+
+/// Position at which vehicles of route files depart \[m\].
+const DEPARTURE: f64 = 5.0;
 
 impl Rails {
     fn new(task: &Arc<Task>) -> Self {
-        Self { task: Arc::clone(task), vehicles: vec![None; task.slots()] }
+        let (vehicles, departed) = (vec![None; task.slots()], vec![0.0; task.slots()]);
+        Self { task: Arc::clone(task), vehicles, waiting: HashSet::new(), departed }
     }
 
     fn step(&mut self, commands: &[Command]) -> Snapshot {
@@ -55,13 +65,19 @@ impl Rails {
                     let vehicle = &mut self.vehicles[slot as usize];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
                     *vehicle = Some((route as usize, depart_pos, depart_speed));
+                    self.departed[slot as usize] = 0.0;
                 }
                 Command::Remove { slot, .. } => {
                     assert!(self.vehicles[slot as usize].take().is_some(), "slot {slot} is empty");
+                    self.waiting.remove(&(slot as usize));
                 }
                 Command::SetSpeed { slot, speed, .. } => {
                     let vehicle =
                         self.vehicles[slot as usize].as_mut().expect("only vehicles have a speed");
+                    assert!(
+                        !self.waiting.contains(&(slot as usize)),
+                        "slot {slot} is not yet there"
+                    );
                     assert!(
                         (0.0..=self.task.scenario.vehicle.max_speed + 1e-9).contains(&speed),
                         "speed {speed}"
@@ -72,30 +88,71 @@ impl Rails {
                     assert!(self.vehicles[slot as usize].is_some());
                 }
                 Command::Depart { slot, departure, .. } => {
-                    assert!(
-                        slot as usize >= self.task.agents + self.task.placed,
-                        "slot {slot} is not theirs"
-                    );
-                    let vehicle = &mut self.vehicles[slot as usize];
+                    let (planned, slot) = (&self.task.map.plan.departures, slot as usize);
+                    let is_agent = departure as usize >= planned.len();
+                    let theirs = if is_agent {
+                        slot < self.task.agents
+                    } else {
+                        slot >= self.task.agents + self.task.placed
+                    };
+                    assert!(theirs, "slot {slot} is not theirs");
+                    let vehicle = &mut self.vehicles[slot];
                     assert!(vehicle.is_none(), "slot {slot} already holds a vehicle");
-                    let route = self.task.map.plan.departures[departure as usize].route;
-                    *vehicle = Some((route, 5.0, 10.0));
+                    let route = planned[departure as usize % planned.len()].route;
+                    *vehicle = Some((route, DEPARTURE, 10.0));
+                    self.departed[slot] = DEPARTURE;
+                    // Background vehicles depart on top of each other here, as nobody drives them.
+                    if is_agent {
+                        self.waiting.insert(slot);
+                    }
                 }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
             }
         }
         let step = self.task.scenario.control.interval;
+        let near = |s: f64| s < DEPARTURE + 8.0;
+        let mut ready: Vec<usize> = self.waiting.iter().copied().collect();
+        ready.sort_unstable();
+        for slot in ready {
+            let here = |other: usize| self.vehicles[other].map(|(route, s, _)| (route, s));
+            let (route, _) = here(slot).expect("who waits has a route");
+            let blocked = (0..self.task.agents)
+                .filter(|other| !self.waiting.contains(other))
+                .any(|other| here(other).is_some_and(|(r, s)| r == route && near(s)));
+            if !blocked {
+                self.waiting.remove(&slot);
+            }
+        }
         let mut snapshot = Snapshot::default();
         for (slot, vehicle) in self.vehicles.iter_mut().enumerate() {
             let route = |route: usize| &self.task.map.routes[route].path;
+            if self.waiting.contains(&slot) {
+                snapshot.vehicles.push(None);
+                snapshot.bodies.push(None);
+                continue;
+            }
+            let chosen = self.departed[slot] > 0.0;
             if slot >= self.task.agents && vehicle.is_some_and(|(r, s, _)| s > route(r).length()) {
                 *vehicle = None;
             }
+            let departed = self.departed[slot];
             snapshot.vehicles.push(vehicle.as_mut().map(|(_, s, speed)| {
                 *s += *speed * step;
-                VehicleState { distance: *s, speed: *speed }
+                VehicleState {
+                    distance: if departed > 0.0 { *s - departed } else { *s },
+                    speed: *speed,
+                }
             }));
-            snapshot.bodies.push(vehicle.filter(|_| slot >= self.task.agents).map(|(r, s, _)| {
+            // SUMO removes vehicles in the step in which they reach the end.
+            if slot < self.task.agents
+                && chosen
+                && vehicle.is_some_and(|(r, s, _)| s >= route(r).length())
+            {
+                *vehicle = None;
+                snapshot.vehicles[slot] = None;
+            }
+            let posed = slot >= self.task.agents || self.task.has_flow();
+            snapshot.bodies.push(vehicle.filter(|_| posed).map(|(r, s, _)| {
                 let ([x, y], heading) = route(r).at(s);
                 Body { x, y, heading, lane: None, time_loss: 0.0 }
             }));

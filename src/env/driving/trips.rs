@@ -1,0 +1,198 @@
+//! Trips: what became of the agents of an episode. An agent's trip ends when it arrives or fails,
+//! and its slot may be given to another agent afterwards.
+
+use serde::{Deserialize, Serialize};
+
+use super::agents::{Crash, Outcome, Slot, Status};
+use super::failures::Failures;
+use super::loitering::Loitering;
+use super::task::Task;
+
+/// An agent of a route file that is still on the road when an episode ends counts as one that did
+/// not arrive if it has been there for longer than this multiple of the time that its route takes
+/// at the speed limits. A younger agent is neither late nor in time and does not count.
+const PATIENCE: f64 = 4.0;
+
+/// A vehicle of the route files that is an agent.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Departure {
+    /// Time at which it is to depart, from the start of the episode \[s\].
+    pub(crate) due: f64,
+    /// Step after which it was on the road.
+    pub(crate) step: u32,
+    /// Position of the front, on the lanes of its route, at which SUMO may remove it \[m\].
+    pub(crate) end: f64,
+    /// What is added to SUMO's driven distance to get the position of the front on the route, as a
+    /// sum of SUMO's lane lengths \[m\].
+    pub(crate) origin: f64,
+    /// SUMO's time loss so far \[s\].
+    pub(crate) time_loss: f64,
+}
+
+impl Departure {
+    /// Returns the departure of an agent that is due at `due` seconds. `planned` is an index into
+    /// the departures of the plan.
+    pub(super) fn new(task: &Task, planned: usize, due: f64) -> Self {
+        let planned = &task.map.plan.departures[planned];
+        let path = task.map.routes[planned.route].lanes();
+        let on_last_edge = match task.demand.sources[planned.source].finish.pos.as_str() {
+            "random" => Some(0.0),
+            pos => pos.parse().ok(),
+        };
+        let last = path.edges.len().saturating_sub(1);
+        let end = on_last_edge.and_then(|pos| path.arc(last, pos));
+        Self { due, end: end.unwrap_or_else(|| path.length()), ..Self::default() }
+    }
+}
+
+/// An agent's trip.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Trip {
+    pub(super) slot: usize,
+    pub(super) route: usize,
+    pub(super) outcome: Outcome,
+    pub(super) crash: Option<Crash>,
+    /// Whether the agent had neither arrived nor failed.
+    pub(super) unfinished: bool,
+    loitered: bool,
+    /// `None` for an agent that began at a spawn place.
+    departure: Option<Departure>,
+}
+
+/// The trips of an episode.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Trips {
+    ended: Vec<Trip>,
+}
+
+/// The trips of an episode in numbers. Shares are fractions of `count`.
+pub(super) struct Counts {
+    pub(super) count: f64,
+    pub(super) arrived: f64,
+    pub(super) crashed: f64,
+    pub(super) out_of_road: f64,
+    /// Agents that crashed or went off-road.
+    pub(super) failed: f64,
+    pub(super) loitered: f64,
+    pub(super) failures: Failures,
+}
+
+/// The flow of an episode's agents from route files.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct FlowMetrics {
+    /// Length of the episode \[h\].
+    pub hours: f64,
+    /// Number of agents that departed.
+    pub departed: u32,
+    /// Number of agents that arrived.
+    pub arrived: u32,
+    /// Time that an agent loses against driving alone at the speed limits (SUMO's time loss), mean
+    /// over the agents that arrived \[s\].
+    pub delay: f64,
+    /// Time that an agent waited for its departure, because no slot or no room on the road was
+    /// free, mean over the agents that departed \[s\].
+    pub waiting: f64,
+    /// Number of agents that still waited for their departure at the end of the episode.
+    pub queued: u32,
+    /// Number of agents on the road at the end of the episode.
+    pub on_road: u32,
+}
+
+impl Trip {
+    fn of(slot: usize, agent: &Slot, loitering: &Loitering) -> Self {
+        Self {
+            slot,
+            route: agent.route,
+            outcome: agent.outcome,
+            crash: agent.crash,
+            unfinished: agent.status == Status::Active,
+            loitered: loitering.is_long(),
+            departure: agent.departure,
+        }
+    }
+}
+
+impl Trips {
+    /// Begins a new episode.
+    pub(super) fn begin(&mut self) {
+        self.ended.clear();
+    }
+
+    /// Stores the trip of the agent in a slot, which has ended.
+    pub(super) fn end(&mut self, slot: usize, agent: &Slot, loitering: &Loitering) {
+        self.ended.push(Trip { unfinished: false, ..Trip::of(slot, agent, loitering) });
+    }
+
+    /// Returns all trips after `steps` steps, in the order of slots: those that have ended, and
+    /// those of the agents on the road.
+    fn all(&self, agents: &[Slot], loitering: &[Loitering]) -> Vec<Trip> {
+        let driving = agents.iter().zip(loitering).enumerate();
+        let driving = driving.filter(|(_, (agent, _))| agent.status == Status::Active);
+        let driving = driving.map(|(slot, (agent, loitering))| Trip::of(slot, agent, loitering));
+        let mut trips: Vec<Trip> = self.ended.iter().copied().chain(driving).collect();
+        trips.sort_by_key(|trip| trip.slot);
+        trips
+    }
+
+    /// Returns the trips in numbers after `steps` steps.
+    pub(super) fn counts(
+        &self,
+        task: &Task,
+        steps: u32,
+        agents: &[Slot],
+        loitering: &[Loitering],
+    ) -> Counts {
+        let mut trips = self.all(agents, loitering);
+        trips.retain(|trip| !trip.unfinished || trip.is_late(task, steps));
+        let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
+        Counts {
+            count: count(|_| true).max(1.0),
+            arrived: count(|trip| trip.outcome.arrived),
+            crashed: count(|trip| trip.outcome.crashed),
+            out_of_road: count(|trip| trip.outcome.out_of_road),
+            failed: count(|trip| trip.outcome.crashed || trip.outcome.out_of_road),
+            loitered: count(|trip| trip.loitered),
+            failures: Failures::of(&trips, &task.map.route_ids),
+        }
+    }
+
+    /// Returns the flow after `steps` steps; `queued` agents wait for their departure.
+    pub(super) fn flow(
+        &self,
+        task: &Task,
+        steps: u32,
+        agents: &[Slot],
+        loitering: &[Loitering],
+        queued: u32,
+    ) -> FlowMetrics {
+        let interval = task.scenario.control.interval;
+        let trips = self.all(agents, loitering);
+        let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
+        let departures = trips.iter().filter_map(|trip| trip.departure);
+        let arrived = trips.iter().filter(|trip| trip.outcome.arrived);
+        let losses = arrived.clone().filter_map(|trip| trip.departure.map(|d| d.time_loss));
+        // A vehicle that departs at once is on the road one step after its time.
+        let waits = departures
+            .map(|departure| (f64::from(departure.step) - 1.0) * interval - departure.due);
+        FlowMetrics {
+            hours: f64::from(steps) * interval / 3600.0,
+            departed: trips.len() as u32,
+            arrived: arrived.count() as u32,
+            delay: mean(&losses.collect::<Vec<_>>()),
+            waiting: mean(&waits.map(|wait| wait.max(0.0)).collect::<Vec<_>>()),
+            queued,
+            on_road: trips.iter().filter(|trip| trip.unfinished).count() as u32,
+        }
+    }
+}
+
+impl Trip {
+    /// Whether an agent on the road is late after `steps` steps. An agent that began at a spawn
+    /// place is late wherever it is.
+    fn is_late(&self, task: &Task, steps: u32) -> bool {
+        self.departure.is_none_or(|departure| {
+            let age = f64::from(steps - departure.step) * task.scenario.control.interval;
+            age > PATIENCE * task.map.free_time[self.route]
+        })
+    }
+}

@@ -1,0 +1,46 @@
+//! The record of a world's episode.
+
+use super::World;
+use crate::env::driving::metrics::EpisodeRecord;
+
+impl World {
+    /// Returns the record of the current episode.
+    pub(super) fn record(&mut self, interrupted: bool) -> EpisodeRecord {
+        let (task, steps, now) = (&*self.task, self.episode.step, self.now());
+        let (agents, others) = self.traffic.slots.split_at(task.agents);
+        let trips = self.trips.counts(task, steps, agents, &self.loitering);
+        let n = trips.count;
+        let (success, danger) = (trips.arrived / n, trips.failed / n);
+        let background = || self.background.metrics(task, others);
+        let flow = task.has_flow().then(|| {
+            let waiting = agents.iter().filter(|slot| slot.is_waiting()).count() as u32;
+            let queued = waiting + self.background.queued(task, now);
+            self.trips.flow(task, steps, agents, &self.loitering, queued)
+        });
+        let total = self.rewards.total;
+        // Rewards are per slot where agents come from route files.
+        let per_agent = |departed| total * task.agents as f64 / f64::from(u32::max(departed, 1));
+        EpisodeRecord {
+            episode: self.episode.index,
+            episode_length: self.episode.step,
+            success,
+            safety: 1.0 - danger,
+            crash: trips.crashed / n,
+            out_of_road: trips.out_of_road / n,
+            reward: flow.map_or(total, |flow| per_agent(flow.departed)),
+            efficiency: (success - danger) * n / f64::from(self.episode.step.max(1)),
+            sumo_collisions: self.collisions.pairs.of_sumo(),
+            own_collisions: self.collisions.pairs.of_ours(),
+            distance_km: self.distance / 1000.0,
+            crashes: self.collisions.crashes,
+            loitering: trips.loitered / n,
+            audit: self.collisions.pairs.audit(),
+            failures: trips.failures,
+            flow,
+            others: (task.others > 0).then(background),
+            interrupted,
+            replayed: self.episode.is_replayed(),
+            step_rewards: std::mem::take(&mut self.rewards.steps),
+        }
+    }
+}
