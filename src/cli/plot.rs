@@ -217,22 +217,22 @@ mod tests {
         };
         let (label, first) = run(
             0,
-            "algorithm = \"mappo\"\nseed = 0\nscenario = \"a/cross.xml\"\ninit_from = \"x/m/seed_0\"",
+            "algorithm = \"mappo\"\nseed = 0\ninit_from = \"x/m/seed_0\"\n[scenario]\nfile = \"a/cross.xml\"",
         );
         assert_eq!(label, "mappo");
         let (_, second) = run(
             1,
-            "algorithm = \"mappo\"\nseed = 1\nscenario = \"b/cross.xml\"\ninit_from = \"x/m/seed_1\"",
+            "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"b/cross.xml\"",
         );
         assert_eq!(first, second);
         let (_, task) = run(
             2,
-            "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/slow.xml\"\ninit_from = \"x/m/seed_1\"",
+            "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"a/slow.xml\"",
         );
         assert_ne!(first, task);
         let (_, begun) = run(
             3,
-            "algorithm = \"mappo\"\nseed = 1\nscenario = \"a/cross.xml\"\ninit_from = \"x/n/seed_1\"",
+            "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/n/seed_1\"\n[scenario]\nfile = \"a/cross.xml\"",
         );
         assert_ne!(first, begun);
         // MAPPO does not read the settings of MAGIC.

@@ -106,7 +106,7 @@ pub(super) fn names() -> Vec<String> {
     all.collect()
 }
 
-/// Returns the values that a setting, or a group of settings, allows, in words.
+/// Returns the values that a setting allows, in words.
 pub(super) fn allowed(keys: &[&str]) -> Option<String> {
     let mut group: &Value = &SCHEMA;
     let mut found = None;
@@ -115,9 +115,7 @@ pub(super) fn allowed(keys: &[&str]) -> Option<String> {
         group = setting.described;
         found = Some(setting);
     }
-    let setting = found?;
-    let group = format!("a group of settings, `[{}]`", setting.key);
-    Some(if setting.is_group() { group } else { setting.allowed() })
+    Some(found?.allowed())
 }
 
 /// Returns what a schema refers to, or the schema itself.

@@ -57,7 +57,10 @@ fn decode(mut bytes: Vec<u8>) -> io::Result<String> {
         return String::from_utf8(bytes).map_err(|error| {
             let valid = &error.as_bytes()[..error.utf8_error().valid_up_to()];
             let (line, column) = end_of(&String::from_utf8_lossy(valid));
-            invalid(format!("not UTF-8 at line {line}, column {column}"))
+            invalid(format!(
+                "not UTF-8 at line {line}, column {column}; a file in another encoding names it in its first line: \
+                 <?xml version=\"1.0\" encoding=\"ISO-8859-1\"?>"
+            ))
         });
     }
     let mut text = String::with_capacity(
