@@ -2,8 +2,9 @@
 //! rules by which defaults follow from the number of agents, the method and the initial weights.
 
 use super::Config;
+use super::origin::Origin;
 use super::presets::STEERING;
-use super::values::{Origin, Values};
+use super::values::Values;
 use crate::algo;
 use crate::algo::settings::Exploration;
 use crate::scenario::ScenarioFile;

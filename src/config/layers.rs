@@ -6,8 +6,9 @@ use std::path::Path;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
+use super::origin::{Origin, Origins};
 use super::presets::Preset;
-use super::values::{Origin, Origins, Values, parse_value, to_table};
+use super::values::{Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
 use crate::scenario::{Scenario, ScenarioFile};
 use crate::suggest::nearest;

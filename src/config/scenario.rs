@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
 use toml::{Table, Value};
 
-use super::values::{Origin, Origins};
+use super::origin::{Origin, Origins};
 use super::{Change, Error, plain};
 use crate::scenario::{
     Attribute, Kind, Overridable, Override, Refused, Scenario, ScenarioFile, overridable,

@@ -1,45 +1,14 @@
-//! Settings on their way to a configuration: their values, and where each value comes from.
-
-use std::collections::BTreeMap;
+//! Settings on their way to a configuration.
 
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
+use super::origin::{Origin, Origins};
 use super::presets::{PRESETS, Preset};
 use super::{Config, Document, Error, flatten, full_name, scenario};
 use crate::algo;
 use crate::scenario::cannot_override;
 use crate::suggest::nearest;
-
-/// The source of a setting's value.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Origin {
-    /// The default that the struct of its group declares.
-    Declared,
-    /// The scenario.
-    Scenario,
-    /// The preset with this name.
-    Preset(&'static str),
-    /// A rule by which defaults follow from the thing with this name.
-    Rule(&'static str),
-    /// The user, in this place: file, line and column, `--set key=value` or a flag.
-    Given(String),
-}
-
-/// The origins of settings, by their full names.
-pub type Origins = BTreeMap<String, Origin>;
-
-impl std::fmt::Display for Origin {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        match self {
-            Self::Declared => f.write_str("default"),
-            Self::Scenario => f.write_str("scenario"),
-            Self::Preset(name) => write!(f, "preset {name}"),
-            Self::Rule(what) => write!(f, "default for this {what}"),
-            Self::Given(place) => f.write_str(place),
-        }
-    }
-}
 
 /// The values of all settings, and the origin of each.
 pub(super) struct Values {

@@ -9,8 +9,8 @@
 
 use nalgebra::Vector2;
 
+use super::departure::Departure;
 use super::geometry::{Pose, Size, Stance};
-use super::trips::Departure;
 use super::vehicle::tyres::Motion;
 
 /// A vehicle whose centre is more than this far past a conflict point has left it with its whole

@@ -15,12 +15,12 @@ use rand::RngExt as _;
 
 use super::agents::{Slot, Status};
 use super::collisions::Collisions;
+use super::departure::Departure;
 use super::effects::Effects;
 use super::geometry::Pose;
 use super::metrics::BackgroundMetrics;
 use super::motion::{NO_CHECKS, SUMO_CHECKS};
 use super::task::{Driver, Task};
-use super::trips::Departure;
 use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
 use crate::sumo::{Command, Snapshot};

@@ -4,7 +4,7 @@
 use super::agents::CLEARED;
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::levels::Levels;
-use super::routes::{STEP, Shared};
+use super::shared::{STEP, Shared};
 use crate::sumo::net::Path;
 
 /// Lateral distance between paths from which vehicles on them pass each other \[m\].

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 
 use super::agents::Crash;
-use super::trips::Trip;
+use super::trip::Trip;
 use crate::words::counted;
 
 /// A crash counts as upstream when the first conflict point of the agent's route is farther ahead

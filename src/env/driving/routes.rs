@@ -4,6 +4,7 @@ use super::agents::CLEARED;
 use super::conflicts::{Bridge, Pair};
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::levels::Levels;
+use super::shared::{STEP, Shared};
 use crate::sumo::net::Path;
 
 /// A route's path and its relation to the other routes. All positions are arc lengths from the
@@ -51,24 +52,6 @@ pub struct Conflict {
     pub other: f64,
 }
 
-/// A stretch of another route on which vehicles count as on this route, too.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Shared {
-    /// Beginning of the stretch, as a position on the other route.
-    pub(super) from: f64,
-    /// End of the stretch, as a position on the other route.
-    pub(super) to: f64,
-    /// Position on this route minus the position of the same place on the other route.
-    pub(super) shift: f64,
-}
-
-impl Shared {
-    /// A whole route, shared with itself.
-    const IDENTITY: Self = Self { from: f64::NEG_INFINITY, to: f64::INFINITY, shift: 0.0 };
-}
-
-/// Distance between the positions at which paths are compared \[m\].
-pub(super) const STEP: f64 = 0.25;
 /// Conflicts at most this far apart are one group: a vehicle that has left the first with its whole
 /// body would already block the second \[m\].
 const ROOM: f64 = 20.0;

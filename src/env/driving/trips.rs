@@ -3,61 +3,16 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::agents::{Crash, Outcome, Slot, Status};
+use super::agents::{Slot, Status};
 use super::failures::Failures;
 use super::loitering::Loitering;
 use super::task::Task;
+use super::trip::Trip;
 
 /// An agent of a route file that is still on the road when an episode ends counts as one that did
 /// not arrive if it has been there for longer than this multiple of the time that its route takes
 /// at the speed limits. A younger agent is neither late nor in time and does not count.
 const PATIENCE: f64 = 4.0;
-
-/// A vehicle of the route files that is an agent.
-#[derive(Debug, Clone, Copy, Default)]
-pub(crate) struct Departure {
-    /// Time at which it is to depart, from the start of the episode \[s\].
-    pub(crate) due: f64,
-    /// Step after which it was on the road.
-    pub(crate) step: u32,
-    /// Position of the front, on the lanes of its route, at which SUMO may remove it \[m\].
-    pub(crate) end: f64,
-    /// What is added to SUMO's driven distance to get the position of the front on the route, as a
-    /// sum of SUMO's lane lengths \[m\].
-    pub(crate) origin: f64,
-    /// SUMO's time loss so far \[s\].
-    pub(crate) time_loss: f64,
-}
-
-impl Departure {
-    /// Returns the departure of an agent that is due at `due` seconds. `planned` is an index into
-    /// the departures of the plan.
-    pub(super) fn new(task: &Task, planned: usize, due: f64) -> Self {
-        let planned = &task.map.plan.departures[planned];
-        let path = task.map.routes[planned.route].lanes();
-        let on_last_edge = match task.demand.sources[planned.source].finish.pos.as_str() {
-            "random" => Some(0.0),
-            pos => pos.parse().ok(),
-        };
-        let last = path.edges.len().saturating_sub(1);
-        let end = on_last_edge.and_then(|pos| path.arc(last, pos));
-        Self { due, end: end.unwrap_or_else(|| path.length()), ..Self::default() }
-    }
-}
-
-/// An agent's trip.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Trip {
-    pub(super) slot: usize,
-    pub(super) route: usize,
-    pub(super) outcome: Outcome,
-    pub(super) crash: Option<Crash>,
-    /// Whether the agent had neither arrived nor failed.
-    pub(super) unfinished: bool,
-    loitered: bool,
-    /// `None` for an agent that began at a spawn place.
-    departure: Option<Departure>,
-}
 
 /// The trips of an episode.
 #[derive(Debug, Clone, Default)]
@@ -96,20 +51,6 @@ pub struct FlowMetrics {
     pub queued: u32,
     /// Number of agents on the road at the end of the episode.
     pub on_road: u32,
-}
-
-impl Trip {
-    fn of(slot: usize, agent: &Slot, loitering: &Loitering) -> Self {
-        Self {
-            slot,
-            route: agent.route,
-            outcome: agent.outcome,
-            crash: agent.crash,
-            unfinished: agent.status == Status::Active,
-            loitered: loitering.is_long(),
-            departure: agent.departure,
-        }
-    }
 }
 
 impl Trips {

@@ -1,0 +1,33 @@
+//! An agent's trip.
+
+use super::agents::{Crash, Outcome, Slot, Status};
+use super::departure::Departure;
+use super::loitering::Loitering;
+
+/// An agent's trip.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Trip {
+    pub(super) slot: usize,
+    pub(super) route: usize,
+    pub(super) outcome: Outcome,
+    pub(super) crash: Option<Crash>,
+    /// Whether the agent had neither arrived nor failed.
+    pub(super) unfinished: bool,
+    pub(super) loitered: bool,
+    /// `None` for an agent that began at a spawn place.
+    pub(super) departure: Option<Departure>,
+}
+
+impl Trip {
+    pub(super) fn of(slot: usize, agent: &Slot, loitering: &Loitering) -> Self {
+        Self {
+            slot,
+            route: agent.route,
+            outcome: agent.outcome,
+            crash: agent.crash,
+            unfinished: agent.status == Status::Active,
+            loitered: loitering.is_long(),
+            departure: agent.departure,
+        }
+    }
+}
