@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use super::Error;
+use super::{Error, in_words};
 use crate::metrics::{self, EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::Estimate;
 use crate::stats::aggregate::bootstrap;
@@ -189,7 +189,7 @@ pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Bloc
             let mut parts = Vec::new();
             let mut panel = None;
             for key in &varying {
-                let short = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
+                let short = in_words(key);
                 let evaluated = combination.iter().any(|(own, _)| own == key);
                 // A policy that was trained at one value and is evaluated at another is not a seed
                 // of the policy trained at the latter.

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use super::Error;
 use super::block::{Block, Line, Unit, references, scores};
+use super::{Error, in_words};
 use crate::curves::{self, Along, Curve};
 use crate::metrics::{Metric, SUCCESS, Shown};
 use crate::plot::{Panel, Series, Style, figure};
@@ -173,13 +173,7 @@ fn axis_label(key: &str) -> String {
         "agents" => "vehicles".to_owned(),
         "scenario.communication.range" => "communication range (m)".to_owned(),
         "scenario.observation.neighbours" => "observed vehicles".to_owned(),
-        _ => {
-            let name = key.rsplit('.').next().unwrap_or(key).replace('_', " ");
-            let spaced = |c: char| {
-                if c.is_uppercase() { vec![' ', c.to_ascii_lowercase()] } else { vec![c] }
-            };
-            name.chars().flat_map(spaced).collect()
-        }
+        _ => in_words(key),
     }
 }
 

@@ -108,6 +108,18 @@ pub fn write(
     Ok(written)
 }
 
+/// Returns a key in words: its last part, and the element of a value in the scenario.
+fn in_words(key: &str) -> String {
+    let name =
+        key.strip_prefix("scenario.").unwrap_or_else(|| key.rsplit('.').next().unwrap_or(key));
+    let spaced = |c: char| match c {
+        '.' | '_' => vec![' '],
+        c if c.is_uppercase() => vec![' ', c.to_ascii_lowercase()],
+        c => vec![c],
+    };
+    name.chars().flat_map(spaced).collect()
+}
+
 fn heading(sweep: &Sweep, block: &Block<'_>) -> String {
     match &block.evaluate.title {
         none if none.is_empty() && sweep.evaluations.len() == 1 => "Results".to_owned(),

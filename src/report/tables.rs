@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use super::block::{Block, Line, Row, Unit, aggregate, references, resamples, scores};
 use super::document::Document;
+use super::in_words;
 use crate::metrics::{EvaluationResult, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::aggregate::{
     bootstrap, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
@@ -117,9 +118,9 @@ fn table(
     document.table(header, rows);
 }
 
-/// Returns the last part of the key along the horizontal axis; `None` without an axis.
+/// Returns the name in words of the key along the horizontal axis; `None` without an axis.
 fn axis(block: &Block<'_>) -> Option<String> {
-    block.x.as_deref().map(|x| x.rsplit('.').next().unwrap_or(x).replace('_', " "))
+    block.x.as_deref().map(in_words)
 }
 
 /// Formats mean ± half width over seeds, or mean and interval in brackets over episodes; for a

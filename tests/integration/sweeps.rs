@@ -245,7 +245,7 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
     let files = [file.as_path(), Path::new("--runs"), &runs, Path::new("-o"), &out];
     succeeds(iwol(&["report"]).args(files));
     let markdown = std::fs::read_to_string(out.join("report.md")).expect("written");
-    let result = runs.join("tiny/mappo/seed_0/evaluations/range_communication_range=10.0.json");
+    let result = runs.join("tiny/mappo/seed_0/evaluations/range_range=10.0.json");
     let found: Value =
         serde_json::from_str(&std::fs::read_to_string(result).expect("a result")).expect("JSON");
     let delay = found["metrics"]["others"]["delay"]["mean"].as_f64().expect("others lose time");
