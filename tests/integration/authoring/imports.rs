@@ -66,7 +66,7 @@ fn generated_nets_are_imported() {
     let other = import(folder.path(), "other", Map::Net(&net), Some("B0"), 8, false).unwrap();
     assert_eq!(other.candidates[0].junction, "B0");
     let error = import(folder.path(), "none", Map::Net(&net), Some("Z9"), 8, false).unwrap_err();
-    assert!(error.to_string().contains("the net has no junction `Z9`"), "{error}");
+    assert!(error.to_string().contains("the map has no junction `Z9`"), "{error}");
     assert!(!folder.path().join("sumo_nets/none").exists());
 }
 
