@@ -12,6 +12,7 @@
 mod classes;
 mod cut;
 mod error;
+mod foes;
 mod path;
 mod read;
 mod route;
@@ -30,6 +31,7 @@ pub use classes::{CARS, Classes, PEDESTRIANS};
 pub(crate) use cut::cut;
 pub use error::{NetError, Problem};
 pub(crate) use error::{did_you_mean, nearest, shorten};
+pub use foes::Foes;
 pub use path::Path;
 pub use tile::{Tiled, tile, tiled_id};
 pub use walk::Walk;
@@ -64,6 +66,8 @@ pub struct Net {
     pub boundary: [[f64; 2]; 2],
     /// Whether vehicles drive on the left. Lanes are then counted from the left, too.
     pub left_hand: bool,
+    /// Lanes that SUMO compares when it looks for collisions.
+    pub foes: Foes,
     edge_by_id: HashMap<String, usize>,
     /// Indices into `connections`, for each lane from which they start.
     leaving: Vec<Vec<usize>>,

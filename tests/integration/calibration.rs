@@ -50,7 +50,11 @@ fn full_throttle() {
     assert!(evaluation.episodes.iter().all(|e| (e.crash > 0.0) == (e.own_collisions > 0)));
     let audit = metrics.audit;
     let differences: u32 = audit.differences().iter().map(|(_, pairs)| pairs).sum();
-    let only_sumo = audit.sumo_ended + audit.sumo_touching + audit.sumo_bent + audit.sumo_other;
+    let only_sumo = audit.sumo_ended
+        + audit.sumo_touching
+        + audit.sumo_bent
+        + audit.sumo_metres
+        + audit.sumo_other;
     assert_eq!((audit.agreed + differences, audit.agreed + only_sumo), (own + only_sumo, sumo));
     assert_eq!(audit.ours_unregulated, 0);
     assert!(f64::from(audit.ours_other + audit.sumo_other) < 0.02 * f64::from(own), "{audit:?}");

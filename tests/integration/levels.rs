@@ -74,7 +74,8 @@ fn feature(task: &Task, world: &World, agent: usize, name: &str) -> f32 {
 }
 
 /// A bridge is none of the reasons to meet, whatever heights the net gives: a road over a road, a
-/// road over a junction, and a road that crosses one of its own junction's roads far from it.
+/// road over a junction, a tunnel along a road, and a road that crosses one of its own junction's
+/// roads far from it.
 #[test]
 fn roads_at_different_heights_do_not_meet() {
     let cross = |z: &str| {
@@ -84,6 +85,8 @@ fn roads_at_different_heights_do_not_meet() {
     };
     let edges = r#"<edge id="a" from="W" to="E"/><edge id="b" from="S" to="N"/>"#;
     let over = r#"<edge id="a1" from="W" to="J"/><edge id="a2" from="J" to="E"/><edge id="b" from="S" to="N"/>"#;
+    let along = r#"<node id="P" x="-100" y="1.6"/><node id="Q" x="100" y="1.6"/>"#;
+    let tunnel = r#"<edge id="a" from="W" to="E"/><edge id="b" from="P" to="Q"/>"#;
     // The ramp leaves the junction to the north and comes round over the road to the east.
     let ramp = r#"<edge id="a1" from="W" to="J"/><edge id="a2" from="J" to="E"/><edge id="b" from="J" to="S" shape="0,0 0,60 60,60 60,-60 0,-120"/>"#;
     let junction = r#"<node id="J" x="0" y="0"/>"#;
@@ -92,6 +95,7 @@ fn roads_at_different_heights_do_not_meet() {
         ("high", cross(r#" z="7""#), edges, "a", "b"),
         ("deep", cross(r#" z="-6""#), edges, "a", "b"),
         ("over a junction", cross("") + junction, over, "a1 a2", "b"),
+        ("along a road", cross("") + along, tunnel, "a", "b"),
         ("ramp", cross("") + junction, ramp, "a1 a2", "a1 b"),
     ] {
         let folder = folder();
@@ -219,6 +223,40 @@ fn both_directions_of_a_bidi_road_are_one_strip() {
     assert_eq!((metrics.sumo_collisions.mean, metrics.success.mean), (0.0, 1.0));
     let both = play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap();
     assert_eq!(both.failures.crossing, 6, "{:?}", both.failures);
+}
+
+/// Without `bidi`, SUMO does not know that the two directions are one strip. The audit says so.
+#[test]
+fn sumo_does_not_compare_two_roads_on_one_strip() {
+    let folder = folder();
+    let nodes = r#"<node id="A" x="0" y="0"/><node id="B" x="200" y="0"/>"#;
+    let edges = r#"<edge id="ab" from="A" to="B" spreadType="center"/><edge id="ba" from="B" to="A" spreadType="center"/>"#;
+    net(folder.path(), nodes, edges, &["--geometry.avoid-overlap", "false"]);
+    let routes =
+        r#"<route id="ab" edges="ab" arrivalPos="-5"/><route id="ba" edges="ba" arrivalPos="-5"/>"#;
+    let spawns = r#"<spawn route="ab" first="8" spacing="8" count="1"/><spawn route="ba" first="8" spacing="8" count="1"/>"#;
+    let pair = task(&scenario(folder.path(), routes, spawns, "", 2), 2);
+    let audit = play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap().audit;
+    assert_eq!(audit.differences(), [("only ours: on lanes that SUMO does not compare", 3)]);
+}
+
+/// On a road that is 30 m long for SUMO and 100 m by its shape, vehicles 12 m apart overlap for
+/// SUMO.
+#[test]
+fn sumo_counts_its_own_metres() {
+    let folder = folder();
+    let nodes =
+        r#"<node id="A" x="0" y="0"/><node id="B" x="100" y="0"/><node id="C" x="200" y="0"/>"#;
+    let edges = r#"<edge id="ab" from="A" to="B"/><edge id="bc" from="B" to="C" length="30"/>"#;
+    net(folder.path(), nodes, edges, &[]);
+    let routes = r#"<route id="a" edges="ab bc" arrivalPos="-5"/>"#;
+    let spawns = r#"<spawn route="a" first="8" spacing="12" count="3"/>"#;
+    let row = task(&scenario(folder.path(), routes, spawns, "", 3), 3);
+    let metrics = play(&row, &Policy::Throttle(1.0), 2, Seed::new(0)).metrics().unwrap();
+    assert_eq!((metrics.success.mean, metrics.own_collisions.mean), (1.0, 0.0));
+    let differences = metrics.audit.differences();
+    let reason = "only SUMO: where its metres are not those of the shape";
+    assert!(matches!(differences[..], [(why, 1..)] if why == reason), "{differences:?}");
 }
 
 const TWO_LANES: [&str; 2] = [

@@ -61,6 +61,15 @@ audit! {
     ours_junction_edge: "only ours: one front outside the junction",
     /// Only the box test: the boxes do not overlap when each is 0.1 m smaller on every side.
     ours_touching: "only ours: an overlap below about 0.2 m",
+    /// Only the box test: SUMO's metres at one of the vehicles are not those of its lane's shape,
+    /// so that a vehicle is longer or shorter there, or the net has no lanes over its junctions.
+    ours_metres: "only ours: where SUMO's metres are not those of the shape",
+    /// Only the box test: the vehicles are on one lane, on which SUMO sees a gap. The boxes overlap
+    /// because the lane bends.
+    ours_bend: "only ours: in a bend, with a gap along the lane",
+    /// Only the box test: the vehicles are on lanes that SUMO does not compare, such as two roads on
+    /// one strip without `bidi`, or lanes of a junction that its logic does not name as foes.
+    ours_not_compared: "only ours: on lanes that SUMO does not compare",
     /// Only the box test: SUMO reports one of the two vehicles as colliding with a third.
     ours_one_of_several: "only ours: one of several at once",
     /// Only the box test, for no known reason.
@@ -74,6 +83,9 @@ audit! {
     /// SUMO bends the body of such a vehicle along the lane that it assigns to the vehicle, which
     /// may be a lane of another route that lies close.
     sumo_bent: "only SUMO: a body that it bends along a lane",
+    /// Only SUMO: SUMO's metres at one of the vehicles are not those of its lane's shape, as for the
+    /// box test.
+    sumo_metres: "only SUMO: where its metres are not those of the shape",
     /// Only SUMO, for no known reason.
     sumo_other: "only SUMO: no known reason",
 }
@@ -85,8 +97,38 @@ fn grown(slot: &Slot, more: f64) -> Size {
 
 /// Whether a part of the vehicle lies in a junction of its route for which `which` returns true.
 fn touches_junction(map: &Map, slot: &Slot, which: fn(&JunctionStretch) -> bool) -> bool {
-    let body = (slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0);
-    map.junctions[slot.route].iter().any(|j| which(j) && body.0 <= j.to && j.from <= body.1)
+    let [rear, front] = body(slot);
+    map.junctions[slot.route].iter().any(|j| which(j) && rear <= j.to && j.from <= front)
+}
+
+/// Returns the positions of a vehicle's rear and front along the lanes of its route \[m\].
+fn body(slot: &Slot) -> [f64; 2] {
+    [slot.s - slot.size[0] / 2.0, slot.s + slot.size[0] / 2.0]
+}
+
+/// Whether a vehicle is as long in SUMO's metres along the lanes as it is on their shapes.
+fn is_to_scale(map: &Map, slot: &Slot) -> bool {
+    let [rear, front] = body(slot).map(|s| map.routes[slot.route].lanes().distance_of_arc(s));
+    (front - rear - slot.size[0]).abs() <= NEAR / 2.0
+}
+
+/// Whether one of two vehicles on one route is ahead of the other with a gap in between.
+fn has_gap(map: &Map, a: &Slot, b: &Slot) -> bool {
+    let gap = |a: &Slot, b: &Slot| map.routes[a.route].gap_to(a.s, b.route, b.s);
+    let lengths = f64::midpoint(a.size[0], b.size[0]);
+    gap(a, b).or_else(|| gap(b, a)).is_some_and(|distance| distance >= lengths)
+}
+
+/// Whether SUMO compares vehicles that are on the lanes below the two.
+fn are_compared(map: &Map, a: &Slot, b: &Slot) -> bool {
+    let lanes = |slot: &Slot| {
+        let [rear, front] = body(slot);
+        let stretches = map.routes[slot.route].lanes().lane_stretches();
+        let below = stretches.filter(|(_, from, to)| *from <= front && rear <= *to);
+        below.map(|(lane, ..)| lane).collect::<Vec<_>>()
+    };
+    let others = lanes(b);
+    lanes(a).iter().any(|&a| others.iter().any(|&b| a == b || map.foes.contain(a, b)))
 }
 
 /// Whether the body of `a`, bent in any way behind its front, could touch `b`.
@@ -132,6 +174,12 @@ pub(super) fn reason_of_ours<'a>(
         |audit| &mut audit.ours_junction_edge
     } else if !overlap(&a.pose, &b.pose, -NEAR) {
         |audit| &mut audit.ours_touching
+    } else if !is_to_scale(map, a) || !is_to_scale(map, b) {
+        |audit| &mut audit.ours_metres
+    } else if has_gap(map, a, b) {
+        |audit| &mut audit.ours_bend
+    } else if !are_compared(map, a, b) {
+        |audit| &mut audit.ours_not_compared
     } else if reported.any(|c| of_pair(c.collider) != of_pair(c.victim)) {
         |audit| &mut audit.ours_one_of_several
     } else {
@@ -151,6 +199,8 @@ pub(super) fn reason_of_sumo(map: &Map, steer: bool, a: &Slot, b: &Slot) -> Coun
     } else if steer && (in_junction(a) || in_junction(b)) && (bent_meets(a, b) || bent_meets(b, a))
     {
         |audit| &mut audit.sumo_bent
+    } else if !is_to_scale(map, a) || !is_to_scale(map, b) {
+        |audit| &mut audit.sumo_metres
     } else {
         |audit| &mut audit.sumo_other
     }

@@ -93,6 +93,12 @@ impl Pair<'_> {
                 }
             }
         }
+        for (own, other) in self.passings() {
+            let known = |b: &Bridge| b.route == route && b.covers(own, other, 0.0);
+            if !bridges.iter().any(known) {
+                bridges.push(self.bridge(route, (own, other)));
+            }
+        }
         if around {
             return conflicts_around(self);
         }
@@ -172,6 +178,51 @@ impl Pair<'_> {
         near.retain(|&(_, s, at)| self.on_one_level((s, at), true));
         near.sort_by(|x, y| x.0.total_cmp(&y.0));
         near.into_iter().map(|(_, s, at)| (s, at)).collect()
+    }
+
+    /// Returns the places at which a point of one of the paths is beside the other path on another
+    /// level, so near that vehicles there overlap in the plane.
+    fn passings(&self) -> Vec<(f64, f64)> {
+        let beside = |line: &Path, points: &Path| {
+            let mut places = Vec::new();
+            for (&point, &at) in points.points.iter().zip(&points.cumulative) {
+                for (segment, ends) in line.points.windows(2).enumerate() {
+                    let far = |axis: usize| {
+                        let [a, b] = [ends[0][axis] - point[axis], ends[1][axis] - point[axis]];
+                        a.min(b) > APART || a.max(b) < -APART
+                    };
+                    if far(0) || far(1) {
+                        continue;
+                    }
+                    let (s, lateral, _) = line.nearest_of(point, segment..segment + 1);
+                    if lateral.abs() < APART && (0.0..=line.length()).contains(&s) {
+                        places.push((s, at));
+                    }
+                }
+            }
+            places
+        };
+        let mut places = beside(self.own, self.other);
+        let others = beside(self.other, self.own);
+        places.extend(others.into_iter().map(|(other, own)| (own, other)));
+        places.retain(|&place| !self.on_one_level(place, true));
+        places
+    }
+
+    /// Returns the stretches around a place along which the paths are beside each other on two
+    /// levels.
+    fn bridge(&self, route: usize, place: (f64, f64)) -> Bridge {
+        let mut bridge = Bridge { route, own: [place.0; 2], other: [place.1; 2] };
+        let band = self.band(place);
+        let (before, behind) = band.split_at(band.partition_point(|(s, ..)| *s < place.0));
+        let apart = |&&(s, at, _): &&(f64, f64, f64)| !self.on_one_level((s, at), true);
+        let before = before.iter().rev().take_while(apart);
+        for &(s, at, _) in behind.iter().take_while(apart).chain(before) {
+            for (stretch, s) in [(&mut bridge.own, s), (&mut bridge.other, at)] {
+                *stretch = [stretch[0].min(s), stretch[1].max(s)];
+            }
+        }
+        bridge
     }
 
     /// Returns the positions on both paths around a place, in driving order of the first, at which

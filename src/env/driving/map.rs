@@ -15,7 +15,7 @@ use super::levels::Levels;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use crate::scenario::{Demand, DemandPlan, Scenario};
-use crate::sumo::net::{EdgeFunction, Net, Path};
+use crate::sumo::net::{EdgeFunction, Foes, Net, Path};
 
 /// A part of a route that lies in a junction.
 #[derive(Debug, Clone, Copy)]
@@ -70,6 +70,8 @@ pub struct Map {
     pub(super) plan: DemandPlan,
     /// Parts of each route that lie in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
+    /// Lanes that SUMO compares when it looks for collisions.
+    pub(super) foes: Foes,
     /// Which routes begin alike, and where they part.
     pub(super) forks: Forks,
     /// Whether some route has edges with several lanes, so that SUMO could change the lane of a
@@ -135,6 +137,7 @@ impl Map {
             || scenario.observation.borders > 0.0;
         let road = road_is_needed.then(|| Road::new(&net, size, &scenario.termination));
         Ok(Self {
+            foes: net.foes.clone(),
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
             free_time: lanes.iter().map(|path| free_time(&net, scenario, path)).collect(),

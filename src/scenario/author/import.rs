@@ -23,8 +23,8 @@ const OSM_OPTIONS: [(&str, &str); 7] = [
     ("remove-edges.isolated", "true"),
     ("no-turnarounds", "true"),
 ];
-/// Bounds of the top speed, which is the lowest speed limit on the routes \[m/s\].
-const SPEED: (f64, f64) = (5.0, 22.222);
+/// Largest top speed, which otherwise is the lowest speed limit on the routes \[m/s\].
+const SPEED: f64 = 22.222;
 /// Junctions up to this distance from the routes belong to the scenario's part of a large net: the
 /// range in which agents observe others \[m\].
 const NEAR: f64 = 100.0;
@@ -145,7 +145,7 @@ pub fn import(root: &Path, name: &str, map: Map, choices: &Choices) -> Result<Im
             paths: proposal.paths,
             rows: proposal.rows,
             agents: choices.agents,
-            speed: proposal.speed.clamp(SPEED.0, SPEED.1),
+            speed: proposal.speed.min(SPEED),
             steers: if choices.steering { Steers::Road } else { Steers::No },
         })?;
         layout.write(&scenario)?;

@@ -8,8 +8,8 @@ use std::{
 use roxmltree::{Document, Node};
 
 use super::{
-    Classes, Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Junction, Lane, Net, NetError,
-    Problem, Roundabout, nearest, shorten, xml,
+    Classes, Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Foes, Junction, Lane, Net,
+    NetError, Problem, Roundabout, nearest, shorten, xml,
 };
 use crate::markup;
 
@@ -71,6 +71,7 @@ impl Reader<'_, '_> {
             roundabouts: self.roundabouts(root)?,
             boundary: self.boundary(root)?,
             left_hand: root.attribute("lefthand").is_some_and(|text| matches!(text, "true" | "1")),
+            foes: Foes::default(),
             edge_by_id: HashMap::new(),
             leaving: Vec::new(),
         };
@@ -121,6 +122,7 @@ impl Reader<'_, '_> {
             let classes = self.classes(node)?;
             net.connections.push(Connection { from, to, via, dir, classes });
         }
+        net.foes = Foes::read(root, &lane_by_id, &net);
         for i in 0..net.connections.len() {
             let mut inner = Vec::new();
             net.follow_internal(&net.connections[i], &mut inner);
