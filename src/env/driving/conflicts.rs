@@ -143,7 +143,8 @@ impl Pair<'_> {
             // Two routes that fork from one lane touch at the fork, which is no conflict.
             let fork =
                 shared.iter().any(|k| (u - k.to).abs() < 0.5 && (s - k.to - k.shift).abs() < BEND);
-            (!fork && !(same && (s - u).abs() < BEND)).then_some(touch)
+            let none = fork || same && (s - u).abs() < BEND;
+            (!none).then_some(touch)
         };
         (1..other.points.len()).filter_map(touch).collect()
     }

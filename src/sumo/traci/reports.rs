@@ -43,6 +43,7 @@ struct Row {
     position: Option<[f64; 2]>,
     angle: Option<f64>,
     /// The lane, if the net has one of the reported id.
+    #[expect(clippy::option_option, reason = "a lane that the net lacks is not a missing report")]
     lane: Option<Option<u32>>,
     time_loss: Option<f64>,
     /// Whether SUMO reports that it does not know the object.
