@@ -134,7 +134,9 @@ impl Fleet {
                 // SUMO chooses the position; the distance of a vehicle that SUMO drives is not
                 // used.
                 let (walks, departure) = (route.walked, Some(index));
-                self.next[vehicle] = Slot { known: true, walks, departure, departed: 0.0 };
+                let awaited = !walks;
+                self.next[vehicle] =
+                    Slot { known: true, walks, departure, awaited, ..Slot::default() };
             }
             Command::Remove { world, slot } => {
                 let vehicle = self.vehicle(world, slot)?;
