@@ -316,7 +316,7 @@ impl Demand {
         for path in files.iter().map(AsRef::as_ref) {
             let text = text_up_to(path, MAX_BYTES)?;
             let document = document(&text, path)?;
-            demand.read(&Reader { path, document: &document }, &text)?;
+            demand.read(&Reader::new(path, &document), &text)?;
         }
         Ok(demand)
     }

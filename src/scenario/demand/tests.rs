@@ -276,6 +276,23 @@ fn zones_beside_edges_and_false_flags_are_counted_or_taken() {
     assert!(half.starts_with("2:") && half.contains("toTaz of <trip> is not taken"), "{half}");
 }
 
+/// The time to read a file grows with its size, and not with the square of it: 20,000 trips take a
+/// second or two, where a search from the file's beginning for each place takes minutes.
+#[test]
+fn places_are_found_in_long_files() {
+    let line = |i| format!("\n<trip id=\"t\u{e4}{i}\" depart=\"{i}\" from=\"a\" to=\"b\"/>");
+    let text = format!("<routes>{}</routes>", (0..20_000).map(line).collect::<String>());
+    let begin = std::time::Instant::now();
+    let found = demand(&text).unwrap();
+    assert!(begin.elapsed().as_secs() < 60, "{:?}", begin.elapsed());
+    let last = &found.sources[19_999].place;
+    let xml = roxmltree::Document::parse(&text).unwrap();
+    let trip = xml.root_element().last_element_child().unwrap();
+    let at = xml.text_pos_at(trip.attribute_node("from").unwrap().range().start);
+    let from = &found.routes[19_999].place;
+    assert_eq!((last.line, last.column, from.line, from.column), (20_001, 1, at.row, at.col));
+}
+
 #[test]
 fn a_message_of_sumo_leads_to_the_type_that_it_is_about() {
     let folder = tempfile::tempdir().unwrap();

@@ -145,7 +145,7 @@ impl Demand {
             files.iter().find_map(|path| {
                 let text = text_up_to(path, MAX_BYTES).ok()?;
                 let document = document(&text, path).ok()?;
-                let reader = Reader { path, document: &document };
+                let reader = Reader::new(path, &document);
                 reader.all("vType").find_map(|kind| {
                     let mut attributes = kind
                         .descendants()
