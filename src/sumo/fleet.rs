@@ -27,10 +27,20 @@ struct Slot {
     departure: Option<u32>,
     /// Position of the front bumper on the route's first edge at departure \[m\].
     departed: f64,
-    /// Whether a background vehicle has been added and not been on the road yet.
-    awaited: bool,
-    /// Whether SUMO reports that the vehicle waits for room on the road.
-    pending: bool,
+    /// Whether a background vehicle is still to enter the road.
+    entry: Entry,
+}
+
+/// How far a background vehicle has come that SUMO has accepted.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+enum Entry {
+    /// It has entered the road, or is none.
+    #[default]
+    Done,
+    /// It has not been on the road yet.
+    Awaited,
+    /// SUMO reports that it waits for room on the road.
+    Pending,
 }
 
 #[derive(Debug, Clone)]
@@ -146,7 +156,9 @@ impl Fleet {
         self.snapshot.bodies.fill(None);
         self.snapshot.collisions.clear();
         self.snapshot.dropped.clear();
-        self.slots.iter_mut().for_each(|slot| slot.pending = false);
+        for slot in self.slots.iter_mut().filter(|slot| slot.entry == Entry::Pending) {
+            slot.entry = Entry::Awaited;
+        }
     }
 
     /// Records SUMO's report of a vehicle: the `distance` that it has driven since its departure
@@ -238,8 +250,9 @@ impl Fleet {
 
     /// Records that the vehicle of this name waits for room on the road.
     pub(super) fn pending(&mut self, name: &str) {
-        if let Some(vehicle) = self.vehicle_named(name) {
-            self.slots[vehicle].pending = true;
+        let vehicle = self.vehicle_named(name);
+        if let Some(vehicle) = vehicle.filter(|&at| self.slots[at].entry == Entry::Awaited) {
+            self.slots[vehicle].entry = Entry::Pending;
         }
     }
 
@@ -249,11 +262,12 @@ impl Fleet {
     pub(super) fn find_dropped(&mut self) {
         for vehicle in 0..self.slots.len() {
             let slot = &mut self.slots[vehicle];
-            if slot.awaited {
-                slot.awaited = slot.known && self.snapshot.bodies[vehicle].is_none();
-                if slot.awaited && !slot.pending {
-                    self.drop_out(vehicle);
-                }
+            if slot.entry != Entry::Done && (!slot.known || self.snapshot.bodies[vehicle].is_some())
+            {
+                slot.entry = Entry::Done;
+            }
+            if slot.entry == Entry::Awaited {
+                self.drop_out(vehicle);
             }
         }
     }
@@ -268,7 +282,7 @@ impl Fleet {
 
     fn drop_out(&mut self, vehicle: usize) {
         let (slot, slots) = (&mut self.slots[vehicle], self.config.slots);
-        (slot.known, slot.awaited) = (false, false);
+        (slot.known, slot.entry) = (false, Entry::Done);
         if let Some(departure) = slot.departure {
             let (world, slot) = (vehicle as u32 / slots, vehicle as u32 % slots);
             self.snapshot.dropped.push(Dropped { world, slot, departure });

@@ -303,7 +303,9 @@ fn a_message_of_sumo_leads_to_the_type_that_it_is_about() {
          <vType id=\"d\" guiShape=\"ship\"/></routes>",
     )
     .unwrap();
-    let line = |message: &str| Demand::blamed(&[file.clone()], message).map(|place| place.line);
+    let line = |message: &str| {
+        Demand::blamed(std::slice::from_ref(&file), message).map(|place| place.line)
+    };
     assert_eq!(line("Invalid color definition 'blurple'"), Some(4));
     assert_eq!(line("The shape 'ship' for vType 'd' is not known."), Some(6));
     assert_eq!(
