@@ -101,10 +101,19 @@ def carry_out(runs):
     return refusal, unknown
 
 
+def is_unknown(vehicle):
+    try:
+        distance_of(vehicle)
+    except Refused:
+        return True
+    return False
+
+
 def step(runs, vehicles, others, persons):
     """Carries out `runs` as `carry_out` does, and takes one step.
 
-    Returns the time, the vehicles and persons that arrived or were refused, the distances and speeds of the other
+    Returns the time, the vehicles and persons that arrived or were refused and the vehicles that libsumo dropped when
+    they were to enter the road, the distances and speeds of the other
     `vehicles` in their order, the pairs of colliding vehicles, the first refusal, if there are `others` that SUMO
     drives, positions, angles, lanes and time losses of the vehicles, and position, angle and speed of each of the `persons`,
     or None where there is none of that name.
@@ -114,11 +123,18 @@ def step(runs, vehicles, others, persons):
     unknown.update(arrived_ids())
     if unknown:
         vehicles = [name for name in vehicles if name not in unknown]
+    dropped = []
+    try:
+        distances = list(map(distance_of, vehicles))
+    except Refused:
+        dropped = [name for name in vehicles if is_unknown(name)]
+        vehicles = [name for name in vehicles if name not in dropped]
+        distances = list(map(distance_of, vehicles))
     collisions = [(c.collider, c.victim) for c in collisions_now()]
     bodies = ([], [], [], [])
     if others:
         bodies = tuple(list(map(of, vehicles)) for of in (position_of, angle_of, lane_of, time_loss_of))
-    distances, speeds = list(map(distance_of, vehicles)), list(map(speed_of, vehicles))
+    speeds = list(map(speed_of, vehicles))
     walkers = []
     if persons:
         unknown.update(arrived_persons())
@@ -129,4 +145,4 @@ def step(runs, vehicles, others, persons):
             else None
             for name in persons
         ]
-    return time_now(), list(unknown), distances, speeds, collisions, refusal, bodies, walkers
+    return time_now(), [list(unknown), dropped], distances, speeds, collisions, refusal, bodies, walkers

@@ -43,7 +43,7 @@ pub(super) fn advise(
     adviser.without_effect(&mut findings);
     findings.extend(unused(demand));
     findings.extend(left_out(&sound));
-    findings.extend(adviser.nobody(&sound, demand));
+    findings.extend(adviser.outside(&sound, demand));
     findings.extend(adviser.stops(&sound, demand));
     findings
 }
@@ -326,19 +326,41 @@ impl Adviser<'_, '_, '_> {
         }
     }
 
-    /// Warns of route files of which nobody departs within an episode.
-    fn nobody(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
-        let empty = !maps.is_empty() && maps.iter().all(|(_, map)| map.plan.wanted == 0);
-        let first = demand.first_departure().filter(|_| empty)?;
-        let begin = self.scenario.traffic.begin.0;
-        let end =
-            begin + f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
-        let message = format!(
-            "nobody of the route files departs within an episode, from {begin} s to {end} s of the files' time: \
-             their first departure is at {first} s"
+    /// Warns of route files of which nobody, or not everybody, departs within an episode.
+    fn outside(&self, maps: &[(&Net, &Map)], demand: &Demand) -> Option<Finding> {
+        let (_, map) = maps.first()?;
+        let traffic = &self.scenario.traffic;
+        let warn = |kind, message, hint: &str| {
+            Some(self.warning(kind, ["traffic", "files"], message, hint))
+        };
+        let Some(first) = demand.first_departure() else {
+            // Files may be there for the types of the vehicles at spawn places only.
+            let unused = !traffic.files.is_empty() && traffic.kind.is_none();
+            let message = "no vehicle or person of the route files ever departs".to_owned();
+            let hint = "name a file with vehicles, trips, flows or persons";
+            return if unused { warn("nobody-departs", message, hint) } else { None };
+        };
+        let begin = traffic.begin.0;
+        let duration =
+            f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
+        let episode = format!(
+            "within an episode, from {begin} s to {} s of the files' time",
+            begin + duration
         );
-        let hint = format!("set begin=\"{first}\" of <traffic>, or another time of the files");
-        Some(self.warning("nobody-departs", ["traffic", "files"], message, &hint))
+        let (wanted, outside) = (map.plan.wanted, map.plan.outside);
+        if wanted == 0 {
+            let message = format!(
+                "nobody of the route files departs {episode}: their first departure is at {first} s"
+            );
+            let hint = format!("set begin=\"{first}\" of <traffic>, or another time of the files");
+            return warn("nobody-departs", message, &hint);
+        }
+        let message = format!(
+            "{outside} of {} vehicles, persons and flows of the route files do not depart {episode}",
+            wanted + outside
+        );
+        let hint = "lengthen the horizon or set begin of <traffic>, if they should";
+        if outside > 0 { warn("departs-outside", message, hint) } else { None }
     }
 
     /// Warns of agents from route files that have stops.

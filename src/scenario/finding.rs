@@ -53,6 +53,13 @@ impl Finding {
         Self { severity: Severity::Warning, kind, file, at, message, hint: Some(hint.to_owned()) }
     }
 
+    /// Moves the finding to a place in another file.
+    #[must_use]
+    pub fn moved_to(self, place: Place) -> Self {
+        let Place { path: file, line, column } = place;
+        Self { file, at: Some(Position { line, column }), ..self }
+    }
+
     /// Converts an error to a finding about the scenario file `path`.
     pub fn of(error: &Error, path: &Path) -> Self {
         let at = error.position().map(|(line, column)| Position { line, column });

@@ -29,7 +29,7 @@ impl Scenario {
     /// Does the same as [`Scenario::load`] with the text of a file.
     pub(super) fn load_text(text: &str, path: &Path) -> Result<Self, Error> {
         let document = document(text, path)?;
-        let reader = Reader { path, document: &document };
+        let reader = Reader::new(path, &document);
         let scenario = reader.scenario()?;
         let errors = check::files(&scenario, &reader).errors;
         errors.into_iter().next().map_or(Ok(scenario), Err)
@@ -58,7 +58,7 @@ impl Scenario {
         if text.len() as u64 > MAX_BYTES {
             return Err(Error::TooLarge { path: path.into(), limit: MAX_BYTES });
         }
-        Reader { path, document: &document(text, path)? }.scenario()
+        Reader::new(path, &document(text, path)?).scenario()
     }
 
     /// Returns what of the route files departs in an episode in a net.

@@ -1,6 +1,6 @@
 //! Reads elements and values of XML files. Every mistake becomes an error with its position.
 
-use std::{fmt::Display, path::Path};
+use std::{cell::OnceCell, fmt::Display, path::Path};
 
 use roxmltree::{Document, Node};
 
@@ -23,6 +23,9 @@ const REFERENCE: &str = "`iwol scenario reference` prints all elements and attri
 pub(super) struct Reader<'a, 'input> {
     pub(super) path: &'a Path,
     pub(super) document: &'a Document<'input>,
+    /// Where each line begins. The document's own search begins anew for each position, which takes
+    /// minutes in route files of many thousand vehicles.
+    lines: OnceCell<Vec<usize>>,
 }
 
 /// Returns the text of a scenario or route file.
@@ -125,6 +128,10 @@ fn names<T>(list: &'static [T], name: impl Fn(&'static T) -> &'static String) ->
 }
 
 impl<'a, 'input> Reader<'a, 'input> {
+    pub(super) fn new(path: &'a Path, document: &'a Document<'input>) -> Self {
+        Self { path, document, lines: OnceCell::new() }
+    }
+
     /// Returns the root element after checking the whole document against the schema.
     pub(super) fn root(&'a self) -> Result<Element<'a, 'input>, Error> {
         let (node, schema) = (self.document.root_element(), schema::describe());
@@ -202,8 +209,15 @@ impl<'a, 'input> Reader<'a, 'input> {
 
     /// Returns the place of a byte offset.
     pub(super) fn at(&self, offset: usize) -> Place {
-        let at = self.document.text_pos_at(offset);
-        Place { path: self.path.into(), line: at.row, column: at.col }
+        let text = self.document.input_text();
+        let lines = self.lines.get_or_init(|| {
+            let ends = text.bytes().zip(1..).filter(|(byte, _)| *byte == b'\n');
+            std::iter::once(0).chain(ends.map(|(_, next)| next)).collect()
+        });
+        let line = lines.partition_point(|start| *start <= offset);
+        let before = text.get(lines[line - 1]..offset).unwrap_or_default();
+        let column = before.chars().count() as u32 + 1;
+        Place { path: self.path.into(), line: line as u32, column }
     }
 
     /// Returns the place of an attribute, or of its element if the attribute is missing.

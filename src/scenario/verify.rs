@@ -34,7 +34,7 @@ impl Scenario {
 fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Error> {
     let text = text(path)?;
     let document = document(&text, path)?;
-    let reader = Reader { path, document: &document };
+    let reader = Reader::new(path, &document);
     let scenario = reader.scenario()?;
     let Checked { errors, maps, demand } = check::files(&scenario, &reader);
     list.extend(errors.iter().map(|error| Finding::of(error, error.path())));

@@ -10,7 +10,8 @@ mod commands;
 use std::{collections::HashMap, fs::File, sync::Arc};
 
 use super::{
-    Body, Collision, Error, Route, SimulationConfig, Snapshot, VehicleState, constants as c,
+    Body, Collision, Dropped, Error, Route, SimulationConfig, Snapshot, VehicleState,
+    constants as c,
     net::{Net, tiled_id},
 };
 use arguments::{in_memory, write_tiles};
@@ -26,6 +27,20 @@ struct Slot {
     departure: Option<u32>,
     /// Position of the front bumper on the route's first edge at departure \[m\].
     departed: f64,
+    /// Whether a background vehicle is still to enter the road.
+    entry: Entry,
+}
+
+/// How far a background vehicle has come that SUMO has accepted.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+enum Entry {
+    /// It has entered the road, or is none.
+    #[default]
+    Done,
+    /// It has not been on the road yet.
+    Awaited,
+    /// SUMO reports that it waits for room on the road.
+    Pending,
 }
 
 #[derive(Debug, Clone)]
@@ -140,6 +155,10 @@ impl Fleet {
         self.snapshot.vehicles.fill(None);
         self.snapshot.bodies.fill(None);
         self.snapshot.collisions.clear();
+        self.snapshot.dropped.clear();
+        for slot in self.slots.iter_mut().filter(|slot| slot.entry == Entry::Pending) {
+            slot.entry = Entry::Awaited;
+        }
     }
 
     /// Records SUMO's report of a vehicle: the `distance` that it has driven since its departure
@@ -194,12 +213,13 @@ impl Fleet {
     /// Returns an error in which a vehicle or pedestrian of a route file has its own name instead
     /// of that of its slot.
     pub(super) fn named(&self, mut error: Error) -> Error {
-        if let Error::Refused { id, .. } = &mut error
+        if let Error::Refused { id, message, .. } = &mut error
             && let Some(vehicle) = self.vehicle_named(id)
             && let Some(departure) = self.slots[vehicle].departure
             && let Some(name) =
                 self.config.others.as_ref().and_then(|o| o.names.get(departure as usize))
         {
+            *message = message.replace(&format!("'{id}'"), &format!("'{name}'"));
             id.clone_from(name);
         }
         error
@@ -220,6 +240,52 @@ impl Fleet {
     pub(super) fn gone(&mut self, name: &str) {
         if let Some(vehicle) = self.vehicle_named(name) {
             self.slots[vehicle].known = false;
+        }
+    }
+
+    /// Whether there are departures, of which SUMO may drop some.
+    pub(super) fn has_departures(&self) -> bool {
+        self.config.others.as_ref().is_some_and(|others| !others.departures.is_empty())
+    }
+
+    /// Records that the vehicle of this name waits for room on the road.
+    pub(super) fn pending(&mut self, name: &str) {
+        let vehicle = self.vehicle_named(name);
+        if let Some(vehicle) = vehicle.filter(|&at| self.slots[at].entry == Entry::Awaited) {
+            self.slots[vehicle].entry = Entry::Pending;
+        }
+    }
+
+    /// Finds the vehicles that SUMO has dropped: it has accepted them, and they neither are on the
+    /// road, nor wait for room there, nor have arrived. Everything else of a step is to be recorded
+    /// before.
+    pub(super) fn find_dropped(&mut self) {
+        for vehicle in 0..self.slots.len() {
+            let slot = &mut self.slots[vehicle];
+            if slot.entry != Entry::Done && (!slot.known || self.snapshot.bodies[vehicle].is_some())
+            {
+                slot.entry = Entry::Done;
+            }
+            if slot.entry == Entry::Awaited {
+                self.drop_out(vehicle);
+            }
+        }
+    }
+
+    /// Records that SUMO has dropped the vehicle of this name.
+    #[cfg(feature = "libsumo")]
+    pub(super) fn dropped(&mut self, name: &str) {
+        if let Some(vehicle) = self.vehicle_named(name) {
+            self.drop_out(vehicle);
+        }
+    }
+
+    fn drop_out(&mut self, vehicle: usize) {
+        let (slot, slots) = (&mut self.slots[vehicle], self.config.slots);
+        (slot.known, slot.entry) = (false, Entry::Done);
+        if let Some(departure) = slot.departure {
+            let (world, slot) = (vehicle as u32 / slots, vehicle as u32 % slots);
+            self.snapshot.dropped.push(Dropped { world, slot, departure });
         }
     }
 

@@ -141,15 +141,15 @@ impl LibsumoSimulation {
         type Bodies = (Vec<[f64; 2]>, Vec<f64>, Vec<String>, Vec<f64>);
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
         type Collisions = Vec<(String, String)>;
-        type Reply =
-            (f64, Vec<String>, Vec<f64>, Vec<f64>, Collisions, Refusal, Bodies, Pedestrians);
+        type Absent = [Vec<String>; 2];
+        type Reply = (f64, Absent, Vec<f64>, Vec<f64>, Collisions, Refusal, Bodies, Pedestrians);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let others = self.fleet.config().others.is_some();
         let asked = (self.runs(py)?, &self.asked_names, others, &self.asked_on_foot);
         let reply = self.step.bind(py).call1(asked);
         let (
             time,
-            gone,
+            [gone, dropped],
             distances,
             speeds,
             collisions,
@@ -161,6 +161,9 @@ impl LibsumoSimulation {
         self.fleet.snapshot.time = time;
         for name in &gone {
             self.fleet.gone(name);
+        }
+        for name in &dropped {
+            self.fleet.dropped(name);
         }
         let mut values = distances.into_iter().zip(speeds);
         let mut bodies = positions.into_iter().zip(angles).zip(lanes).zip(losses);

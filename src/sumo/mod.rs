@@ -37,8 +37,8 @@ pub use libsumo::{LibsumoModule, LibsumoSimulation};
 pub use process::{Installation, find_program};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
-    BackgroundTraffic, Body, Collision, Command, Departure, Meter, Renewal, Route, RouteStop,
-    Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
+    BackgroundTraffic, Body, Collision, Command, Departure, Dropped, Meter, Renewal, Route,
+    RouteStop, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
 };
 pub use traci::TraciSimulation;
 pub use value::FromValue;

@@ -27,7 +27,7 @@ use std::{
     path::{Path as FilePath, PathBuf},
 };
 
-pub use classes::{CARS, Classes, PEDESTRIANS};
+pub use classes::{CARS, Classes, PEDESTRIANS, class_of_sumo};
 pub(crate) use cut::cut;
 pub use error::{NetError, Problem};
 pub(crate) use error::{did_you_mean, nearest, shorten};

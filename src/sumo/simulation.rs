@@ -325,6 +325,18 @@ pub struct Collision {
     pub victim: u32,
 }
 
+/// A background vehicle that SUMO has added and then discarded when it was to enter the road, for
+/// example because it could not depart at its speed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Dropped {
+    /// World number.
+    pub world: u32,
+    /// Slot of the vehicle, which is empty now.
+    pub slot: u32,
+    /// Index into [`BackgroundTraffic::departures`].
+    pub departure: u32,
+}
+
 /// The result of one step. Its buffers are reused from step to step.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Snapshot {
@@ -338,6 +350,8 @@ pub struct Snapshot {
     pub bodies: Vec<Option<Body>>,
     /// Collisions that SUMO reports for this step. A lasting overlap is reported in each step.
     pub collisions: Vec<Collision>,
+    /// Background vehicles that SUMO discarded in this step instead of letting them depart.
+    pub dropped: Vec<Dropped>,
 }
 
 /// One SUMO instance, which runs one or more worlds.

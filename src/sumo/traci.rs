@@ -13,7 +13,10 @@ use super::{
     constants::Domain,
     domain::{
         person,
-        simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
+        simulation::{
+            VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS,
+            VAR_PENDING_VEHICLES, VAR_TIME,
+        },
         vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
@@ -86,14 +89,12 @@ impl TraciSimulation {
         let batch = &mut self.batch;
         batch.clear();
         self.fleet.define(batch);
-        let of_simulation = [
-            VAR_TIME.id(),
-            VAR_COLLISIONS.id(),
-            VAR_ARRIVED_VEHICLES_IDS.id(),
-            VAR_ARRIVED_PERSONS_IDS.id(),
-        ];
         let walks = self.fleet.has_walks();
-        batch.subscribe(Domain::SIMULATION, "", &of_simulation[..if walks { 4 } else { 3 }]);
+        let mut of_simulation =
+            vec![VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
+        of_simulation.extend(walks.then(|| VAR_ARRIVED_PERSONS_IDS.id()));
+        of_simulation.extend(self.fleet.has_departures().then(|| VAR_PENDING_VEHICLES.id()));
+        batch.subscribe(Domain::SIMULATION, "", &of_simulation);
         let all = [
             VAR_DISTANCE.id(),
             VAR_SPEED.id(),
@@ -172,6 +173,7 @@ impl Simulation for TraciSimulation {
             }
             first.get_or_insert(self.fleet.named(error));
         }
+        self.fleet.find_dropped();
         first.map_or(Ok(&self.fleet.snapshot), Err)
     }
 

@@ -142,3 +142,25 @@ fn the_check_names_those_whom_sumo_refuses() {
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("a.rou.xml:3:1: error: the trip `fast` cannot be used: SUMO"), "{said}");
 }
+
+/// A vehicle that SUMO drops at its departure leaves its slot to the next one, and is named once.
+#[test]
+fn a_dropped_vehicle_leaves_its_slot() {
+    let folder = folder();
+    let good = "<trip id=\"good\" depart=\"2\" from=\"east_in\" to=\"west_out\"/>";
+    let fast =
+        "\n<trip id=\"fast\" depart=\"1\" from=\"east_in\" to=\"west_out\" departSpeed=\"50\"/>";
+    let path = scenario(folder.path(), "capacity=\"1\"", &format!("{good}{fast}"));
+    let mut backends = vec![Backend::Traci, Backend::Libsumo];
+    backends.retain(|backend| iwol_sumo::sumo::usable(*backend).is_ok());
+    for backend in backends {
+        let seen = watch(&path, 40, backend);
+        assert!(seen[39].len() == 1 && seen[15].is_empty(), "{backend:?}: {seen:?}");
+    }
+    let evaluate =
+        ["evaluate", "--policy", "throttle:-1", "--episodes", "3", "--agents", "4", "--scenario"];
+    let output = iwol(&evaluate).arg(&path).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let times = said.matches("SUMO drops the trip fast (a.rou.xml:3)").count();
+    assert!(output.status.success() && times == 1, "{said}");
+}

@@ -6,7 +6,7 @@ use anyhow::{Context as _, ensure};
 use iwol_sumo::env;
 use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::{Finding, Findings, Scenario, Severity};
+use iwol_sumo::scenario::{Demand, Finding, Findings, Scenario, Severity};
 use iwol_sumo::sumo::{self, Hosting};
 use iwol_sumo::words::counted;
 use serde::Serialize;
@@ -73,7 +73,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                     None
                 }
                 Err(error) if is_fault_of_scenario(&error) => {
-                    findings.list.push(failed(&error, &args.scenario));
+                    findings.list.push(failed(&error, scenario));
                     None
                 }
                 Err(error) => return Err(error).context("the trial could not be run"),
@@ -122,10 +122,21 @@ fn is_fault_of_scenario(error: &env::Error) -> bool {
     }
 }
 
-fn failed(error: &env::Error, path: &Path) -> Finding {
+fn failed(error: &env::Error, scenario: &Scenario) -> Finding {
     let message = format!("the trial failed: {}", chain(error));
     let (severity, kind) = (Severity::Error, "trial");
-    Finding { severity, kind, file: path.into(), at: None, message, hint: error.hint() }
+    let finding = Finding {
+        severity,
+        kind,
+        file: scenario.path.clone(),
+        at: None,
+        message,
+        hint: error.hint(),
+    };
+    match Demand::blamed(&scenario.traffic.files, &finding.message) {
+        Some(place) => finding.moved_to(place),
+        None => finding,
+    }
 }
 
 /// Prints the trial first, so that the findings stand at the end.

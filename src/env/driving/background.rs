@@ -245,6 +245,13 @@ impl Background {
         snapshot: &Snapshot,
         slots: &mut [Slot],
     ) {
+        for dropped in snapshot.dropped.iter().filter(|dropped| dropped.world == world) {
+            let other = (dropped.slot as usize).checked_sub(task.agents);
+            if let Some(slot) = other.and_then(|i| slots.get_mut(i)) {
+                *slot = Slot::default();
+                task.warn_of_dropped(dropped.departure as usize);
+            }
+        }
         let first = world as usize * task.slots() + task.agents;
         for (i, slot) in slots.iter_mut().enumerate() {
             let (body, state) = (snapshot.bodies.get(first + i), snapshot.vehicles.get(first + i));

@@ -1,9 +1,11 @@
 //! Lets everyone of the route files depart once, alone, to find those whom SUMO refuses.
 
+use std::collections::{HashMap, hash_map::Entry};
+
 use super::error::Error;
 use super::task::{Driver, Task};
 use crate::scenario::LeftOut;
-use crate::sumo::{self, Backend, Command, Hosting};
+use crate::sumo::{self, Backend, Command, Departure, Hosting};
 
 impl Task {
     /// Returns the vehicles and persons of the route files whom SUMO refuses, each with SUMO's
@@ -19,12 +21,21 @@ impl Task {
         }
         let failed = |source| Error::Sumo { world: 0, episode: 0, step: 0, source };
         let config = self.simulation_config(0, 1, hosting);
+        let departures = config.others.iter().flat_map(|others| others.departures.clone());
+        let departures: Vec<Departure> = departures.collect();
+        // Vehicles that depart alike share the answer, because there may be thousands of them.
+        let mut answers: HashMap<(u32, String), Option<String>> = HashMap::new();
         let mut simulation = sumo::start(Backend::Traci, config).map_err(failed)?;
-        let mut exchange = |command| {
-            simulation.send(&[command])?;
+        let mut exchange = |commands: &[Command]| {
+            simulation.send(commands)?;
             match simulation.receive() {
-                Ok(_) => Ok(None),
-                Err(sumo::Error::Refused { message, .. }) => Ok(Some(message)),
+                Ok(snapshot) => {
+                    let dropped = !snapshot.dropped.is_empty();
+                    Ok(dropped.then(|| "SUMO drops it when it departs".to_owned()))
+                }
+                Err(sumo::Error::Refused { message, .. }) => {
+                    Ok(Some(format!("SUMO refuses it: {}", message.trim())))
+                }
                 Err(error) => Err(error),
             }
         };
@@ -35,15 +46,13 @@ impl Task {
                 let until_from_now = -source.begin;
                 let depart =
                     Command::Depart { world, slot, departure, vehicle_type, until_from_now };
-                let reason = match exchange(depart).map_err(failed)? {
-                    None => {
-                        let gone = exchange(Command::Remove { world, slot }).map_err(failed)?;
-                        gone.map(|_| "SUMO drops it when it departs".to_owned())
-                    }
-                    Some(message) => {
-                        // It may be on the road if SUMO refused one of its stops.
-                        exchange(Command::Remove { world, slot }).map_err(failed)?;
-                        Some(format!("SUMO refuses it: {}", message.trim()))
+                let reason = match answers.entry((vehicle_type, format!("{:?}", departures[index])))
+                {
+                    Entry::Occupied(known) => known.get().clone(),
+                    Entry::Vacant(new) => {
+                        // The one before may be on the road even if SUMO refused one of its stops.
+                        let remove = Command::Remove { world, slot };
+                        new.insert(exchange(&[remove, depart]).map_err(failed)?).clone()
                     }
                 };
                 if let Some(reason) = reason

@@ -1,5 +1,8 @@
 //! A scenario made ready for one number of agents.
 
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
+
 use super::error::Error;
 use super::geometry::Size;
 use super::layout::Layout;
@@ -59,6 +62,9 @@ pub struct Task {
     pub(super) place_mix: Vec<(usize, f64)>,
     /// For every route with a reserved destination, the first route that ends on the same edge.
     pub(super) reserved: Vec<Option<usize>>,
+    /// The vehicles and flows, as indices into [`Demand::sources`], of which it has been said that
+    /// SUMO drops them.
+    dropped: Arc<Mutex<BTreeSet<usize>>>,
     /// Shapes and features for the learners.
     pub spec: EnvSpec,
     /// How observations are written.
@@ -109,6 +115,7 @@ impl Task {
             recruits,
             place_mix,
             reserved,
+            dropped: Arc::default(),
             spec: EnvSpec {
                 agents: agents as usize,
                 actions: actions(&scenario.control),
@@ -132,6 +139,21 @@ impl Task {
     /// none is.
     pub fn left_out(&self) -> Option<String> {
         self.map.plan.warning().map(|(what, hint)| format!("{what}; {hint}"))
+    }
+
+    /// Warns, once for each vehicle or flow, that SUMO drops a vehicle of this departure instead of
+    /// letting it depart.
+    pub(super) fn warn_of_dropped(&self, departure: usize) {
+        let Some(planned) = self.map.plan.departures.get(departure) else { return };
+        let first = self.dropped.lock().is_ok_and(|mut known| known.insert(planned.source));
+        if first {
+            let source = &self.demand.sources[planned.source];
+            let (element, name) = (source.element, source.name());
+            tracing::warn!(
+                "SUMO drops the {element} {name} when it departs, so that it is left out; \
+                 `iwol scenario check` names all such vehicles"
+            );
+        }
     }
 
     /// Returns the number of slots of a world: those of agents and of background traffic.

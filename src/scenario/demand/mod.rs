@@ -6,6 +6,7 @@
 //! from the seed of each episode, because episodes restart while SUMO's clock goes on.
 
 mod ends;
+mod left_out;
 mod plan;
 mod read;
 mod stops;
@@ -18,7 +19,8 @@ mod types;
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::Path;
 
-pub use plan::{DemandPlan, LeftOut, PlannedDeparture, PlannedSource};
+pub use left_out::LeftOut;
+pub use plan::{DemandPlan, PlannedDeparture, PlannedSource};
 pub use table::route_files;
 pub(super) use times::seconds;
 
@@ -33,6 +35,7 @@ const MAX_BYTES: u64 = 256 << 20;
 const DEFAULT_TYPES: [&str; 2] = ["DEFAULT_VEHTYPE", "DEFAULT_PEDTYPE"];
 
 /// A vehicle class, with SUMO's defaults for types that do not specify these values (SUMO 1.15).
+#[derive(Clone, Copy)]
 struct Class {
     name: &'static str,
     /// Length \[m\].
@@ -313,7 +316,7 @@ impl Demand {
         for path in files.iter().map(AsRef::as_ref) {
             let text = text_up_to(path, MAX_BYTES)?;
             let document = document(&text, path)?;
-            demand.read(&Reader { path, document: &document }, &text)?;
+            demand.read(&Reader::new(path, &document), &text)?;
         }
         Ok(demand)
     }

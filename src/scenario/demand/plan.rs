@@ -3,18 +3,15 @@
 
 use std::collections::HashMap;
 
-use super::{Demand, Halt, Itinerary, Laid, RouteEdge, Source, Spacing, Terminal};
-use crate::scenario::{Error, Place};
+use super::left_out::LeftOut;
+use super::{Demand, Halt, Itinerary, Laid, RouteEdge, Source, Spacing, Terminal, class_named};
+use crate::scenario::Error;
 use crate::sumo::RouteStop;
 use crate::sumo::net::{Net, NetError, Path, shorten};
 
 /// Largest number of different routes and walks of those who depart within an episode: the program
 /// compares each route with each other.
 const MAX_ROUTES: usize = 2000;
-/// Number of vehicles that a message names.
-const NAMED: usize = 3;
-/// Hint for vehicles that are left out.
-const STRICT: &str = "correct the file; with strict=\"true\" of <traffic>, such a file is refused";
 /// Length of a stop whose beginning is not given \[m\].
 const STOP_LENGTH: f64 = 0.2;
 
@@ -31,6 +28,8 @@ pub struct DemandPlan {
     pub left_out: Vec<LeftOut>,
     /// Number of vehicles, persons and flows that the files let depart within the episode.
     pub wanted: usize,
+    /// Number of those that depart only before or after it.
+    pub outside: usize,
 }
 
 /// A way to depart: a route with all that belongs to it.
@@ -64,44 +63,6 @@ pub struct PlannedSource {
     pub spacing: Spacing,
 }
 
-/// A vehicle, person or flow that cannot be used.
-#[derive(Debug, Clone, PartialEq)]
-pub struct LeftOut {
-    /// Id in the file.
-    pub id: String,
-    /// Name of the element.
-    pub element: &'static str,
-    /// File, line and column.
-    pub place: Place,
-    /// Why it cannot be used.
-    pub reason: String,
-}
-
-impl LeftOut {
-    /// Returns the error of a scenario that refuses such files.
-    pub fn error(&self) -> Error {
-        let (element, id, reason) = (self.element, shorten(&self.id), &self.reason);
-        let message = format!("the {element} `{id}` cannot be used: {reason}");
-        let hint = Some("correct or delete it");
-        Error::Invalid { place: self.place.clone(), message, hint }
-    }
-}
-
-impl DemandPlan {
-    /// Returns a line about what is left out, and what to do; `None` if nothing is.
-    pub fn warning(&self) -> Option<(String, &'static str)> {
-        let count = self.left_out.len();
-        let first = self.left_out.iter().take(NAMED).map(|out| {
-            let (element, id, place) = (out.element, shorten(&out.id), &out.place);
-            format!("the {element} `{id}` (line {}: {})", place.line, out.reason)
-        });
-        let first = first.collect::<Vec<_>>().join(", ");
-        let more = if count > NAMED { ", …" } else { "" };
-        let what = format!("{} vehicles, persons and flows of the route files", self.wanted);
-        (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
-    }
-}
-
 impl Source {
     /// Returns how messages call this vehicle, person or flow.
     pub fn name(&self) -> String {
@@ -131,6 +92,8 @@ impl Demand {
                     let hint = Some("shorten the horizon, or split the file by time");
                     return Err(Error::Invalid { place: source.place.clone(), message, hint });
                 }
+            } else if source.number > 0 {
+                planner.plan.outside += 1;
             }
         }
         Ok(planner.plan)
@@ -138,7 +101,8 @@ impl Demand {
 
     /// Returns the first departure of the files, in their time \[s\].
     pub fn first_departure(&self) -> Option<f64> {
-        self.sources.iter().map(|source| source.begin).min_by(f64::total_cmp)
+        let some = self.sources.iter().filter(|source| source.number > 0);
+        some.map(|source| source.begin).min_by(f64::total_cmp)
     }
 }
 
@@ -214,6 +178,9 @@ impl Planner<'_> {
         let mut classes: Vec<&'static str> = kinds().map(|kind| kind.class).collect();
         classes.sort_unstable();
         classes.dedup();
+        if let Some(class) = classes.iter().find(|class| class_named(class).is_none()) {
+            return Err(format!("vehicles of class `{class}` are not taken"));
+        }
         let speed = source.start.speed.parse::<f64>().ok();
         if let Some(slow) = kinds().find(|kind| speed.is_some_and(|v| v > kind.max_speed)) {
             return Err(format!(
@@ -245,7 +212,7 @@ impl Planner<'_> {
             let laid = self.lay(&route.id, edges, lane, &classes)?;
             self.ends(source, edges, laid, &classes)?;
             let halts = route.stops.iter().chain(&source.stops);
-            let stops = self.stops(halts, edges, laid)?;
+            let stops = self.stops(halts, source.start.pos.parse().ok(), edges, laid)?;
             found.push(self.departure(index, laid, None, stops));
         }
         if found.is_empty() {
@@ -379,23 +346,23 @@ impl Planner<'_> {
     fn stops<'h>(
         &self,
         halts: impl Iterator<Item = &'h Halt>,
+        depart: Option<f64>,
         edges: &[String],
         route: usize,
     ) -> Result<Vec<RouteStop>, String> {
         let path = &self.plan.routes[route].path;
-        let mut stops: Vec<(usize, RouteStop)> = Vec::new();
+        let mut stops: Vec<RouteStop> = Vec::new();
+        // The edge of the route with the departure or the stop before, and where on it that is.
+        let length = path.lanes.first().map_or(0.0, |&lane| self.net.lanes[lane].length);
+        let mut passed = (0, depart.map_or(0.0, |pos| if pos < 0.0 { length + pos } else { pos }));
         for halt in halts {
             let name = shorten(&halt.edge);
             if halt.parking {
                 return Err(format!("its stop on the edge `{name}` is beside the road (parking)"));
             }
-            let passed = stops.last().map_or(0, |stop| stop.0);
-            let at = |from: usize| {
-                edges.iter().skip(from).position(|edge| *edge == halt.edge).map(|i| from + i)
-            };
-            let Some(order) = at(passed).or_else(|| at(0)) else {
+            if !edges.contains(&halt.edge) {
                 return Err(format!("its stop on the edge `{name}` is not on its route"));
-            };
+            }
             let lanes =
                 self.net.edge_index(&halt.edge).map_or(0..0, |i| self.net.edges[i].lanes.clone());
             let own = path.lanes.iter().copied().find(|lane| lanes.contains(lane));
@@ -420,19 +387,24 @@ impl Planner<'_> {
                      friendlyPos moves it there"
                 ));
             }
-            stops.push((
-                order,
-                RouteStop {
-                    edge: halt.edge.clone(),
-                    lane: self.net.lanes[lane].index,
-                    range: [start, end],
-                    duration: halt.duration,
-                    until: halt.until.map(|until| until - self.begin),
-                },
-            ));
+            // SUMO takes the stops of the route first, and looks for each behind the one before.
+            let behind = |i: &usize| edges[*i] == halt.edge && (*i > passed.0 || end >= passed.1);
+            let Some(order) = (passed.0..edges.len()).find(behind) else {
+                let before = if stops.is_empty() { "its departPos" } else { "the stop above it" };
+                return Err(format!(
+                    "its stop on the edge `{name}` at {end} m lies before {before}"
+                ));
+            };
+            passed = (order, end);
+            stops.push(RouteStop {
+                edge: halt.edge.clone(),
+                lane: self.net.lanes[lane].index,
+                range: [start, end],
+                duration: halt.duration,
+                until: halt.until.map(|until| until - self.begin),
+            });
         }
-        stops.sort_by_key(|stop| stop.0);
-        Ok(stops.into_iter().map(|stop| stop.1).collect())
+        Ok(stops)
     }
 }
 

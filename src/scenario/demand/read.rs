@@ -17,13 +17,18 @@ use crate::sumo::net::{did_you_mean, nearest};
 /// Largest number of edges of a route.
 const MAX_EDGES: usize = 4096;
 
+/// Names of the root element: those that SUMO's tools write today, and those of older releases.
+/// SUMO takes any name.
+const ROOTS: [&str; 6] =
+    ["routes", "additional", "route-alternatives", "trips", "flows", "additionals"];
+
 /// The interval around a flow, which has its default times.
 type Interval = Option<(f64, f64)>;
 
 impl Demand {
     pub(super) fn read(&mut self, reader: &Reader, text: &str) -> Result<(), Error> {
         let root = reader.document.root_element();
-        reader.expect_root(root, &["routes", "additional", "route-alternatives"])?;
+        reader.expect_root(root, &ROOTS)?;
         reader.expect_attributes(root, &[])?;
         self.expect_children(reader, root, &table::ROOT)?;
         for node in root.children().filter(Node::is_element) {

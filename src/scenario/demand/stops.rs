@@ -7,6 +7,15 @@ use super::super::reader::Reader;
 use super::times::time;
 use super::{Demand, Halt, table};
 
+/// Returns the value of a truth value in SUMO's notation.
+pub(super) fn flag(text: &str) -> Option<bool> {
+    match text {
+        "true" | "1" | "yes" | "on" | "t" | "True" => Some(true),
+        "false" | "0" | "no" | "off" | "f" | "False" => Some(false),
+        _ => None,
+    }
+}
+
 impl Demand {
     /// Reads the stops within a route, vehicle, trip or flow.
     pub(super) fn stops(&mut self, reader: &Reader, node: Node) -> Result<Vec<Halt>, Error> {
@@ -41,10 +50,9 @@ impl Demand {
             None => Ok(None),
             Some(_) => time(reader, node, key, 0.0).map(Some),
         };
-        let flag = |key| match node.attribute(key).unwrap_or("false") {
-            "true" | "1" | "yes" | "on" | "t" | "True" => Ok(true),
-            "false" | "0" | "no" | "off" | "f" | "False" => Ok(false),
-            _ => Err(reader.value(node, key, "true, false")),
+        let flag = |key| {
+            let value = flag(node.attribute(key).unwrap_or("false"));
+            value.ok_or_else(|| reader.value(node, key, "true, false"))
         };
         let (duration, until) = (optional("duration")?, optional("until")?);
         if duration.is_none() && until.is_none() {

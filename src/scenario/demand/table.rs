@@ -8,6 +8,7 @@ use roxmltree::Node;
 use super::super::Error;
 use super::super::reader::Reader;
 use super::Demand;
+use super::stops::flag;
 use crate::sumo::net::shorten;
 
 /// An element of route files. Names in a text are separated by spaces.
@@ -238,6 +239,24 @@ fn reason(refused: &[(&str, &'static str)], name: &str) -> Option<&'static str> 
     refused.iter().find(named).map(|(_, why)| *why)
 }
 
+/// Whether a refused attribute says nothing here: a zone beside the edge, route or walk that SUMO
+/// takes in its place (duarouter writes both), and a `false`.
+fn is_void(node: Node, name: &str) -> bool {
+    let routed = || {
+        let route = ["route", "edges"].iter().any(|key| node.has_attribute(*key));
+        let child = |child: Node| ["route", "routeDistribution"].contains(&child.tag_name().name());
+        route || node.children().any(child)
+    };
+    match name {
+        "fromTaz" => node.has_attribute("from") || routed(),
+        "toTaz" => node.has_attribute("to") || routed(),
+        "triggered" | "containerTriggered" => {
+            node.attribute(name).is_some_and(|value| flag(value) == Some(false))
+        }
+        _ => false,
+    }
+}
+
 impl Demand {
     /// Checks that an element has only the attributes and child elements that the table has for
     /// it, and counts those without effect.
@@ -250,16 +269,20 @@ impl Demand {
         let element = node.tag_name().name();
         for attribute in node.attributes().filter(|a| a.namespace().is_none()) {
             let name = attribute.name();
-            if let Some(why) = reason(known.refused, name) {
+            let refused = reason(known.refused, name).filter(|_| !is_void(node, name));
+            if let Some(why) = refused {
                 let message = format!("{name} of <{element}> is not taken: {why}");
                 return Err(reader.invalid(attribute.range().start, message));
             }
-            if known.idle.split_whitespace().any(|idle| idle == name) {
+            let zone = ["fromTaz", "toTaz"].contains(&name);
+            if zone || known.idle.split_whitespace().any(|idle| idle == name) {
                 self.count(reader, node, name);
             }
         }
         let names = |texts: [&'static str; 2]| texts.into_iter().flat_map(str::split_whitespace);
-        let valid: Vec<_> = names([known.taken, known.idle]).collect();
+        let void = known.refused.iter().flat_map(|entry| entry.0.split_whitespace());
+        let void = void.filter(|name| node.has_attribute(*name));
+        let valid: Vec<_> = names([known.taken, known.idle]).chain(void).collect();
         reader.expect_attributes(node, &valid)?;
         self.expect_children(reader, node, known)
     }

@@ -1,14 +1,15 @@
 //! Reads the types of vehicles and persons of route files, and distributions of them.
 
 use std::fmt::Write as _;
+use std::path::PathBuf;
 
 use roxmltree::Node;
 
-use super::super::Error;
-use super::super::reader::{Reader, finite};
+use super::super::reader::{Reader, document, finite, text_up_to};
+use super::super::{Error, Place};
 use super::table::{CAR_FOLLOWING, Known, TYPE, TYPES};
-use super::{Class, DEFAULT_TYPES, Demand, VehicleKind, WALKERS, class_named};
-use crate::sumo::net::{did_you_mean, nearest};
+use super::{Class, DEFAULT_TYPES, Demand, MAX_BYTES, VehicleKind, WALKERS, class_named};
+use crate::sumo::net::{class_of_sumo, did_you_mean, nearest};
 
 /// Ids of types that the environments define themselves.
 const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
@@ -43,11 +44,13 @@ impl Demand {
         {
             return Err(reader.duplicate(node, "vehicle type"));
         }
-        let class = match node.attribute("vClass") {
-            Some(class) => class_named(class),
-            None => class_named(if default == Some(1) { WALKERS } else { super::CLASSES[0].name }),
-        };
-        let &Class { name: class, length, width, max_speed } = class.ok_or_else(|| {
+        let other = if default == Some(1) { WALKERS } else { super::CLASSES[0].name };
+        let name = node.attribute("vClass").unwrap_or(other);
+        // Vehicles of SUMO's other classes are left out, so that their sizes are of no use.
+        let known = class_of_sumo(name);
+        let unused = || Some(Class { name: known?, ..super::CLASSES[0] });
+        let class = class_named(known.unwrap_or(name)).copied().or_else(unused);
+        let Class { name: class, length, width, max_speed } = class.ok_or_else(|| {
             let known = || super::CLASSES.iter().map(|class| class.name);
             let given = node.attribute("vClass").unwrap_or_default();
             let similar = did_you_mean(nearest(given, known()));
@@ -127,6 +130,44 @@ impl Demand {
         possible(reader, node, &mix)?;
         self.mixes.insert(id.into(), mix);
         Ok(())
+    }
+
+    /// Returns where the route files define the type that SUMO's message is about: the type that it
+    /// names, one with a value that it quotes, or one whose attribute of that name is no number
+    /// above 0.
+    pub fn blamed(files: &[PathBuf], message: &str) -> Option<Place> {
+        let quoted: Vec<&str> = message.split('\'').skip(1).step_by(2).collect();
+        let words = || message.split(|c: char| !c.is_alphanumeric() && c != '_');
+        let suspect = |name: &str, value: &str| {
+            words().any(|word| word == name) && !value.parse::<f64>().is_ok_and(|v| v > 0.0)
+        };
+        let find = |pass: usize| {
+            files.iter().find_map(|path| {
+                let text = text_up_to(path, MAX_BYTES).ok()?;
+                let document = document(&text, path).ok()?;
+                let reader = Reader::new(path, &document);
+                reader.all("vType").find_map(|kind| {
+                    let mut attributes = kind
+                        .descendants()
+                        .flat_map(|node| node.attributes().map(move |attribute| (node, attribute)));
+                    let of_id = kind.attribute("id").is_some_and(|id| quoted.contains(&id));
+                    let value = attributes.find(|(_, attribute)| {
+                        let (name, value) = (attribute.name(), attribute.value());
+                        let named = of_id && quoted.contains(&name);
+                        let fits =
+                            if pass == 2 { suspect(name, value) } else { quoted.contains(&value) };
+                        name != "id" && (named || fits)
+                    });
+                    let place = value.map(|(node, attribute)| reader.place(node, attribute.name()));
+                    match pass {
+                        0 if !of_id => None,
+                        0 => Some(place.unwrap_or_else(|| reader.place(kind, "id"))),
+                        _ => place,
+                    }
+                })
+            })
+        };
+        (0..3).find_map(find)
     }
 }
 

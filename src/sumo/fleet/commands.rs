@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use super::{Fleet, Slot};
+use super::{Entry, Fleet, Slot};
 use crate::sumo::{
     Batch, Command, Departure, Error, Route, SimulationConfig, constants as c,
     domain::{
@@ -137,7 +137,9 @@ impl Fleet {
                 // SUMO chooses the position; the distance of a vehicle that SUMO drives is not
                 // used.
                 let (walks, departure) = (route.walked, Some(index));
-                self.next[vehicle] = Slot { known: true, walks, departure, departed: 0.0 };
+                let entry = if walks { Entry::Done } else { Entry::Awaited };
+                self.next[vehicle] =
+                    Slot { known: true, walks, departure, entry, ..Slot::default() };
             }
             Command::Remove { world, slot } => {
                 let vehicle = self.vehicle(world, slot)?;

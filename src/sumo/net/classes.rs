@@ -100,6 +100,12 @@ impl Classes {
     }
 }
 
+/// Returns SUMO's name of a vehicle class, which may be that of an older release; `None` if SUMO has
+/// no such class.
+pub fn class_of_sumo(class: &str) -> Option<&'static str> {
+    bit(class).map(|bit| NAMES[bit.trailing_zeros() as usize])
+}
+
 fn bit(class: &str) -> Option<u64> {
     let old = OLD_NAMES.iter().find(|(old, _)| *old == class);
     let name = old.map_or(class, |(_, name)| name);

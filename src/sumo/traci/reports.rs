@@ -7,7 +7,10 @@ use crate::sumo::{
     codec::Reader,
     constants::{self as c, Domain},
     domain::{
-        simulation::{VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS, VAR_TIME},
+        simulation::{
+            VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS,
+            VAR_PENDING_VEHICLES, VAR_TIME,
+        },
         vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
@@ -18,6 +21,7 @@ const TIME: u8 = VAR_TIME.number();
 const COLLISIONS: u8 = VAR_COLLISIONS.number();
 const ARRIVED: u8 = VAR_ARRIVED_VEHICLES_IDS.number();
 const ARRIVED_ON_FOOT: u8 = VAR_ARRIVED_PERSONS_IDS.number();
+const PENDING: u8 = VAR_PENDING_VEHICLES.number();
 const DISTANCE: u8 = VAR_DISTANCE.number();
 const SPEED: u8 = VAR_SPEED.number();
 const POSITION: u8 = VAR_POSITION.number();
@@ -76,6 +80,12 @@ impl Sink for StepSink<'_> {
                 value.kind(c::TYPE_STRINGLIST, "the vehicles and persons that arrived")?;
                 for _ in 0..value.count(4, "the vehicles and persons that arrived")? {
                     self.fleet.gone(value.str()?);
+                }
+            }
+            PENDING if of_simulation => {
+                value.kind(c::TYPE_STRINGLIST, "the vehicles that wait for room")?;
+                for _ in 0..value.count(4, "the vehicles that wait for room")? {
+                    self.fleet.pending(value.str()?);
                 }
             }
             DISTANCE => self.row.distance = Some(finite(value)?),

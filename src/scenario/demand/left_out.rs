@@ -1,0 +1,48 @@
+//! Vehicles, persons and flows that cannot be used, and what messages say about them.
+
+use super::plan::DemandPlan;
+use crate::scenario::{Error, Place};
+use crate::sumo::net::shorten;
+
+/// Number of vehicles that a message names.
+const NAMED: usize = 3;
+/// Hint for vehicles that are left out.
+const STRICT: &str = "correct the file; with strict=\"true\" of <traffic>, such a file is refused";
+
+/// A vehicle, person or flow that cannot be used.
+#[derive(Debug, Clone, PartialEq)]
+pub struct LeftOut {
+    /// Id in the file.
+    pub id: String,
+    /// Name of the element.
+    pub element: &'static str,
+    /// File, line and column.
+    pub place: Place,
+    /// Why it cannot be used.
+    pub reason: String,
+}
+
+impl LeftOut {
+    /// Returns the error of a scenario that refuses such files.
+    pub fn error(&self) -> Error {
+        let (element, id, reason) = (self.element, shorten(&self.id), &self.reason);
+        let message = format!("the {element} `{id}` cannot be used: {reason}");
+        let hint = Some("correct or delete it");
+        Error::Invalid { place: self.place.clone(), message, hint }
+    }
+}
+
+impl DemandPlan {
+    /// Returns a line about what is left out, and what to do; `None` if nothing is.
+    pub fn warning(&self) -> Option<(String, &'static str)> {
+        let count = self.left_out.len();
+        let first = self.left_out.iter().take(NAMED).map(|out| {
+            let (element, id, place) = (out.element, shorten(&out.id), &out.place);
+            format!("the {element} `{id}` (line {}: {})", place.line, out.reason)
+        });
+        let first = first.collect::<Vec<_>>().join(", ");
+        let more = if count > NAMED { ", …" } else { "" };
+        let what = format!("{} vehicles, persons and flows of the route files", self.wanted);
+        (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
+    }
+}
