@@ -240,25 +240,6 @@ fn sumo_does_not_compare_two_roads_on_one_strip() {
     assert_eq!(audit.differences(), [("only ours: on lanes that SUMO does not compare", 3)]);
 }
 
-/// On a road that is 30 m long for SUMO and 100 m by its shape, vehicles 12 m apart overlap for
-/// SUMO.
-#[test]
-fn sumo_counts_its_own_metres() {
-    let folder = folder();
-    let nodes =
-        r#"<node id="A" x="0" y="0"/><node id="B" x="100" y="0"/><node id="C" x="200" y="0"/>"#;
-    let edges = r#"<edge id="ab" from="A" to="B"/><edge id="bc" from="B" to="C" length="30"/>"#;
-    net(folder.path(), nodes, edges, &[]);
-    let routes = r#"<route id="a" edges="ab bc" arrivalPos="-5"/>"#;
-    let spawns = r#"<spawn route="a" first="8" spacing="12" count="3"/>"#;
-    let row = task(&scenario(folder.path(), routes, spawns, "", 3), 3);
-    let metrics = play(&row, &Policy::Throttle(1.0), 2, Seed::new(0)).metrics().unwrap();
-    assert_eq!((metrics.success.mean, metrics.own_collisions.mean), (1.0, 0.0));
-    let differences = metrics.audit.differences();
-    let reason = "only SUMO: where its metres are not those of the shape";
-    assert!(matches!(differences[..], [(why, 1..)] if why == reason), "{differences:?}");
-}
-
 const TWO_LANES: [&str; 2] = [
     r#"<node id="W" x="0" y="0"/><node id="J" x="150" y="0"/><node id="E" x="300" y="0"/>"#,
     r#"<edge id="wi" from="W" to="J" numLanes="2"/><edge id="eo" from="J" to="E" numLanes="2"/>"#,

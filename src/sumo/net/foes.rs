@@ -97,7 +97,7 @@ mod tests {
     /// none of two roads.
     #[test]
     fn lanes_that_cross_are_foes() {
-        let net = Net::load(Path::new("sumo_nets/intersection_turns/intersection_turns.net.xml"));
+        let net = Net::load(Path::new("sumo_nets/intersection_turns/two_lanes.net.xml"));
         let net = net.expect("a shipped net");
         let ways = |dir: &str| -> Vec<_> {
             let all = net.connections.iter().filter(|c| c.dir == dir);
