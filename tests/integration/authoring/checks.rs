@@ -33,8 +33,8 @@ fn a_check_names_every_mistake_with_its_place() {
     ];
     let file = changed(folder.path(), &wrong);
     insta::assert_snapshot!(findings(&file), @r#"
-    site.xml:22:35: error: the route `west_straight` cannot be driven: ../sumo_nets/site/site.net.xml: the net has no edge `east_ou`; did you mean `east_out`?
-    site.xml:25:36: error: the route `south_straight` cannot be driven: ../sumo_nets/site/site.net.xml: the edge `south_in` does not lead to `south_out`
+    site.xml:24:35: error: the route `west_straight` cannot be driven: ../sumo_nets/site/site.net.xml: the net has no edge `east_ou`; did you mean `east_out`?
+    site.xml:27:36: error: the route `south_straight` cannot be driven: ../sumo_nets/site/site.net.xml: the edge `south_in` does not lead to `south_out`
     "#);
 }
 
@@ -45,41 +45,41 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:113:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
+    site.xml:115:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:113:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
+    site.xml:115:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:117:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+    site.xml:119:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:117:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
+    site.xml:119:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
       hint: increase the range, unless agents should not communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
-    site.xml:96:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, but agents observe only 6 m
+    site.xml:98:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, but agents observe only 6 m
       hint: increase detectionRange, or reduce maxSpeed
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:96:18: warning: agents observe no vehicle that crosses their route
+    site.xml:98:18: warning: agents observe no vehicle that crosses their route
       hint: set one of neighbours (with groups `nearest`), conflictStreams (with groups `conflict`), encounters and lidarBeams to a number above 0
     "#);
     let encounters = ("conflictStreams=\"6\"", "conflictStreams=\"0\" encounters=\"4\"");
     assert!(!warned(&[encounters]).contains("observe no vehicle"), "encounters show them");
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
-    site.xml:57:43: warning: agents may drive 20 m/s, but the speed limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s
+    site.xml:59:43: warning: agents may drive 20 m/s, but the speed limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s
       hint: speed limits of lanes do not slow agents down; reduce maxSpeed if agents should keep the limit
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:106:66: warning: the reward of a crash is not below the reward of an arrival
+    site.xml:108:66: warning: the reward of a crash is not below the reward of an arrival
       hint: scenarios/intersection.xml has weights with which agents learn
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"
-    site.xml:24:16: warning: no spawn place uses the route `west_right`
+    site.xml:26:16: warning: no spawn place uses the route `west_right`
       hint: name the route in a <spawn>, or delete the route
     "#);
 }
