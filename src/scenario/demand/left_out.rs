@@ -1,6 +1,5 @@
 //! Vehicles, persons and flows that cannot be used, and what messages say about them.
 
-use super::plan::DemandPlan;
 use crate::scenario::{Error, Place};
 use crate::sumo::net::shorten;
 
@@ -32,17 +31,16 @@ impl LeftOut {
     }
 }
 
-impl DemandPlan {
-    /// Returns a line about what is left out, and what to do; `None` if nothing is.
-    pub fn warning(&self) -> Option<(String, &'static str)> {
-        let count = self.left_out.len();
-        let first = self.left_out.iter().take(NAMED).map(|out| {
-            let (element, id, place) = (out.element, shorten(&out.id), &out.place);
-            format!("the {element} `{id}` (line {}: {})", place.line, out.reason)
-        });
-        let first = first.collect::<Vec<_>>().join(", ");
-        let more = if count > NAMED { ", …" } else { "" };
-        let what = format!("{} vehicles, persons and flows of the route files", self.wanted);
-        (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
-    }
+/// Returns a line about those who are left out, of `all` vehicles, persons and flows, and what to
+/// do; `None` if nobody is.
+pub(super) fn warning(left_out: &[LeftOut], all: usize) -> Option<(String, &'static str)> {
+    let count = left_out.len();
+    let first = left_out.iter().take(NAMED).map(|out| {
+        let (element, id, place) = (out.element, shorten(&out.id), &out.place);
+        format!("the {element} `{id}` (line {}: {})", place.line, out.reason)
+    });
+    let first = first.collect::<Vec<_>>().join(", ");
+    let more = if count > NAMED { ", …" } else { "" };
+    let what = format!("{all} vehicles, persons and flows of the route files");
+    (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
 }

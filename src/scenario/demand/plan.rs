@@ -3,7 +3,7 @@
 
 use std::collections::HashMap;
 
-use super::left_out::LeftOut;
+use super::left_out::{self, LeftOut};
 use super::{Demand, Halt, Itinerary, Laid, RouteEdge, Source, Spacing, Terminal, class_named};
 use crate::scenario::Error;
 use crate::sumo::RouteStop;
@@ -30,6 +30,13 @@ pub struct DemandPlan {
     pub wanted: usize,
     /// Number of those that depart only before or after it.
     pub outside: usize,
+}
+
+impl DemandPlan {
+    /// Returns a line about what is left out, and what to do; `None` if nothing is.
+    pub fn warning(&self) -> Option<(String, &'static str)> {
+        left_out::warning(&self.left_out, self.wanted)
+    }
 }
 
 /// A way to depart: a route with all that belongs to it.

@@ -4,17 +4,9 @@ use roxmltree::Node;
 
 use super::super::Error;
 use super::super::reader::Reader;
+use super::table::{self, flag};
 use super::times::time;
-use super::{Demand, Halt, table};
-
-/// Returns the value of a truth value in SUMO's notation.
-pub(super) fn flag(text: &str) -> Option<bool> {
-    match text {
-        "true" | "1" | "yes" | "on" | "t" | "True" => Some(true),
-        "false" | "0" | "no" | "off" | "f" | "False" => Some(false),
-        _ => None,
-    }
-}
+use super::{Demand, Halt};
 
 impl Demand {
     /// Reads the stops within a route, vehicle, trip or flow.

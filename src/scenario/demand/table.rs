@@ -8,8 +8,16 @@ use roxmltree::Node;
 use super::super::Error;
 use super::super::reader::Reader;
 use super::Demand;
-use super::stops::flag;
 use crate::sumo::net::shorten;
+
+/// Returns the value of a truth value in SUMO's notation.
+pub(super) fn flag(text: &str) -> Option<bool> {
+    match text {
+        "true" | "1" | "yes" | "on" | "t" | "True" => Some(true),
+        "false" | "0" | "no" | "off" | "f" | "False" => Some(false),
+        _ => None,
+    }
+}
 
 /// An element of route files. Names in a text are separated by spaces.
 pub(super) struct Known {
