@@ -42,6 +42,7 @@ use super::{
     client::{self, Client, Version},
 };
 use group::{Group, Loading, Patience};
+#[cfg(feature = "libsumo")]
 pub(super) use installation::sites;
 pub use installation::{Installation, find_program};
 use spawn::{Guard, spawn_from_lasting_thread};
