@@ -77,9 +77,7 @@ impl<T: Value> Field for T {
     fn read(element: &Element, name: &str) -> Result<Self, Error> {
         match element.attribute(name) {
             Some(text) => T::parse(text).ok_or_else(|| element.refuse(name)),
-            None => {
-                T::missing().ok_or_else(|| element.reader.missing(element.node, "attribute", name))
-            }
+            None => T::missing().ok_or_else(|| element.lacks("attribute", name)),
         }
     }
 

@@ -118,7 +118,7 @@ impl Reader<'_, '_> {
             jitter: match root.child("jitter") {
                 Some(jitter) => Jitter::read(&jitter, "")?,
                 None if nets.iter().all(|net| net.spawns.is_empty()) => Jitter::default(),
-                None => return Err(root.reader.missing(root.node, "element", "jitter")),
+                None => return Err(root.lacks("element", "jitter")),
             },
             control: control(root)?,
             observation: observation(root)?,
@@ -141,7 +141,7 @@ fn require<'a, 'input>(
     parent: &Element<'a, 'input>,
     name: &'static str,
 ) -> Result<Element<'a, 'input>, Error> {
-    parent.child(name).ok_or_else(|| parent.reader.missing(parent.node, "element", name))
+    parent.child(name).ok_or_else(|| parent.lacks("element", name))
 }
 
 fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
@@ -156,12 +156,9 @@ fn agents(root: &Element, nets: &[Net]) -> Result<AgentRange, Error> {
     }
     if !from_files && largest == 0 {
         let net = require(root, "nets")?.children("net").next();
-        let error = net.map(|net| net.reader.missing(net.node, "element", "spawn"));
+        let error = net.map(|net| net.lacks("element", "spawn"));
         let hint = "add spawn places, or name vehicles of route files in the attribute types or vehicles of <agents>";
-        return Err(error.map_or_else(
-            || root.reader.missing(root.node, "element", "nets"),
-            |error| error.hinted(hint),
-        ));
+        return Err(error.map_or_else(|| root.lacks("element", "nets"), |error| error.hinted(hint)));
     }
     if let (0, Some(second)) = (largest, require(root, "nets")?.children("net").nth(1)) {
         let message = "a second net without spawn places: the number of places chooses the net";
@@ -276,7 +273,7 @@ fn control(root: &Element) -> Result<Control, Error> {
     let refuse = |key, allowed: &str| Err(element.reader.value(element.node, key, allowed));
     match (element.attribute("mode"), &control.steering) {
         (Some("steering"), None) => {
-            return Err(element.reader.missing(element.node, "element", "steering"));
+            return Err(element.lacks("element", "steering"));
         }
         (Some("throttle"), Some(_)) => {
             return refuse("mode", "`steering`, because the element contains <steering>");
@@ -316,7 +313,7 @@ fn traffic(root: &Element) -> Result<Traffic, Error> {
     let Some(element) = root.child("traffic") else { return Ok(Traffic::default()) };
     let mut traffic = Traffic::read(&element, "")?;
     if traffic.kind.is_some() && traffic.files.is_empty() {
-        return Err(element.reader.missing(element.node, "attribute", "files"));
+        return Err(element.lacks("attribute", "files"));
     }
     let folder = root.reader.path.parent().unwrap_or(Path::new(""));
     traffic.files.iter_mut().for_each(|file| *file = folder.join(&*file));

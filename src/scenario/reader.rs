@@ -75,6 +75,11 @@ impl<'a, 'input> Element<'a, 'input> {
         self.children(name).next()
     }
 
+    /// Returns an error: the element lacks a `kind` (element or attribute) of this name.
+    pub(super) fn lacks(&self, kind: &str, name: &str) -> Error {
+        self.reader.missing(self.node, kind, name).hinted(REFERENCE)
+    }
+
     /// Returns an error: the attribute has none of the values that the schema allows.
     pub(super) fn refuse(&self, name: &str) -> Error {
         let kind = self.schema.attribute(name).map(|known| &known.kind);
