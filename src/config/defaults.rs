@@ -28,7 +28,7 @@ impl Values {
         }
         values.follow("number of agents", |config| config.follow_agents(agents, steers));
         if file.scenario.agents.come_from_files() {
-            // Who is on the road at the horizon of an open-ended flow is not late.
+            // A vehicle that is on the road at the horizon of an open-ended flow is not late.
             values
                 .follow("agents from route files", |config| config.train.bootstrap_horizon = true);
         }

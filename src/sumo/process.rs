@@ -212,7 +212,12 @@ impl Process {
             // A SUMO that hangs before it accepts the connection does not own its end yet.
             (Err(error @ Error::NotLoaded { .. }), _) => Err(error),
             (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
-            (Err(error), _) => Err(self.explain(error)),
+            // A connection that is reset has no other end. A SUMO that runs does not close one before
+            // it has answered, so another program did.
+            (Err(error), _) => Err(match self.explain(error) {
+                Error::Closed { .. } => Error::PortTaken { port: self.port },
+                error => error,
+            }),
         }
     }
 

@@ -189,7 +189,7 @@ fn laps_of_a_ring_are_one_lane() {
     assert!((ahead - 20.0).abs() < 1e-6, "{ahead}");
     let behind = route.gap_to(again + 25.0, 0, r1 + 45.0).unwrap();
     assert!((behind - 20.0).abs() < 1e-6, "{behind}");
-    // Who enters the ring meets who is on it.
+    // A vehicle that enters the ring meets one that is on it.
     let met = conflicts(&task, [0, 0]);
     assert!(met.iter().any(|[own, other]| *own < 110 && *other > 250), "{met:?}");
 }

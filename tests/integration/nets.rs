@@ -120,7 +120,7 @@ fn vehicles_arrive_on_lanes_that_are_longer_than_their_shapes() {
     let task = Arc::new(Task::new(&scenario, 8).unwrap());
     let played = play(&task, &Policy::Sumo, 4, Seed::new(0));
     assert!(played.episodes.iter().all(|episode| !episode.interrupted));
-    // Who does not crash arrives.
+    // Vehicles that do not crash arrive.
     assert!(played.episodes.iter().all(|episode| episode.success == episode.safety));
     // A finish line that a vehicle cannot reach before SUMO removes it is refused.
     let text = fs::read_to_string(&scenario.path).unwrap();
