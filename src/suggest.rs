@@ -1,6 +1,8 @@
 //! The valid name nearest to a mistyped one, for the hint with an "unknown name" error. This module
 //! imports nothing of this crate.
 
+use std::path::{Path, PathBuf};
+
 /// Longest name that is compared, in bytes. Longer names are no typing errors, and the comparison
 /// takes time quadratic in the length.
 const LONGEST: usize = 128;
@@ -26,6 +28,31 @@ pub fn nearest<'a>(name: &str, valid: impl IntoIterator<Item = &'a str>) -> Opti
         }
     }
     best.map(|(_, candidate)| candidate)
+}
+
+/// Returns the path of an existing file or folder that `path` was most likely meant to be, or `None`
+/// if `path` itself exists or no path is similar.
+///
+/// Each part of the path that does not exist is replaced by the most similar entry of its folder.
+pub fn nearest_path(path: &Path) -> Option<PathBuf> {
+    if path.exists() {
+        return None;
+    }
+    let mut found = PathBuf::new();
+    for part in path.components() {
+        if found.join(part).exists() {
+            found.push(part);
+            continue;
+        }
+        let folder = if found.as_os_str().is_empty() { Path::new(".") } else { &found };
+        let entries = std::fs::read_dir(folder).ok()?.filter_map(Result::ok);
+        let mut names: Vec<String> =
+            entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+        names.sort();
+        let name = nearest(part.as_os_str().to_str()?, names.iter().map(String::as_str))?.to_owned();
+        found.push(name);
+    }
+    Some(found)
 }
 
 /// Returns the similarity of two names: the larger of Jaro–Winkler, which tolerates a wrong ending,
@@ -90,6 +117,24 @@ mod tests {
             ("entropy", "entropy_coefficient"),
         ] {
             assert_eq!(nearest(typed, KEYS), Some(meant), "{typed}");
+        }
+    }
+
+    #[test]
+    fn finds_the_path_that_was_meant() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |path: &str| folder.path().join(path);
+        std::fs::create_dir_all(at("policies/im-iwol-8")).unwrap();
+        std::fs::write(at("policies/README.md"), "").unwrap();
+        for (typed, meant) in [
+            ("policies/im-iwoll-8", Some("policies/im-iwol-8")),
+            ("polices/im-iwol-8", Some("policies/im-iwol-8")),
+            ("Policies/im_iwol", Some("policies/im-iwol-8")),
+            ("policies/README.md", None),
+            ("policies/banana", None),
+            ("policies/README.md/more", None),
+        ] {
+            assert_eq!(nearest_path(&at(typed)), meant.map(at), "{typed}");
         }
     }
 

@@ -142,12 +142,26 @@ pub fn main() -> ExitCode {
         Ok(Verdict::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
             say!("error: {error:#}");
-            if let Some(hint) = hint(&error) {
+            if let Some(hint) = hint_of_path(&error).or_else(|| hint(&error)) {
                 say!("\nhint: {hint}");
             }
             ExitCode::from(2)
         }
     }
+}
+
+/// Returns the path that an argument of the command line was most likely meant to be, if the error is
+/// that a file does not exist.
+fn hint_of_path(error: &anyhow::Error) -> Option<String> {
+    let missing = |e: &std::io::Error| e.kind() == std::io::ErrorKind::NotFound;
+    error.chain().find(|cause| cause.downcast_ref().is_some_and(missing))?;
+    let text = chain(error.as_ref());
+    std::env::args().skip(2).find_map(|argument| {
+        // A path is an argument of its own or the value of a setting, as in `--set scenario=FILE`.
+        let path = argument.rsplit('=').next().filter(|path| text.contains(path))?;
+        let near = iwol_sumo::suggest::nearest_path(std::path::Path::new(path))?;
+        Some(format!("did you mean `{}`?", near.display()))
+    })
 }
 
 /// Returns the first hint along the chain of causes of an error.

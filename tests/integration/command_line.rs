@@ -69,6 +69,28 @@ fn a_mistake_in_a_scenario_is_located() {
 }
 
 #[test]
+fn a_mistyped_path_is_told_the_nearest() {
+    assert_snapshot!(failure(&mut iwol(&["evaluate", "policies/im-iwoll-8"])), @r#"
+    2
+    error: cannot read the checkpoint `policies/im-iwoll-8`: No such file or directory (os error 2)
+
+    hint: did you mean `policies/im-iwol-8`?
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["train", "--set", "scenario=scenarios/intersectoin.xml"])), @r#"
+    2
+    error: scenarios/intersectoin.xml: cannot read the scenario: No such file or directory (os error 2)
+
+    hint: did you mean `scenarios/intersection.xml`?
+    "#);
+    assert_snapshot!(failure(&mut iwol(&["sweep", "experiment/paper/scalabilty.toml"])), @r#"
+    2
+    error: cannot read `experiment/paper/scalabilty.toml`: No such file or directory (os error 2)
+
+    hint: did you mean `experiments/paper/scalability.toml`?
+    "#);
+}
+
+#[test]
 fn a_missing_sumo_is_named() {
     let mut command = iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "sumo"]);
     assert_snapshot!(failure(command.env("PATH", "/nowhere").env_remove("SUMO_HOME")), @r#"
