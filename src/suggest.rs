@@ -49,7 +49,8 @@ pub fn nearest_path(path: &Path) -> Option<PathBuf> {
         let mut names: Vec<String> =
             entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
         names.sort();
-        let name = nearest(part.as_os_str().to_str()?, names.iter().map(String::as_str))?.to_owned();
+        let name =
+            nearest(part.as_os_str().to_str()?, names.iter().map(String::as_str))?.to_owned();
         found.push(name);
     }
     Some(found)

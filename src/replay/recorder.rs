@@ -22,7 +22,7 @@ pub struct RecordedDiagnostics {
 }
 
 /// Records one episode while it is played.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Recorder {
     episode: u64,
     actions: usize,
@@ -33,7 +33,7 @@ pub struct Recorder {
 }
 
 /// The columns of a recording, one entry per step and agent.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 struct Rows {
     x: Vec<f64>,
     y: Vec<f64>,
@@ -147,6 +147,16 @@ impl Recorder {
                 self.rows.reward[first + i] = agent.reward;
             }
         }
+    }
+
+    /// Returns the recording of the episode as far as it has been played; `None` before the first
+    /// decision.
+    ///
+    /// # Errors
+    /// As [`Recorder::finish`].
+    pub fn so_far(&self, task: &Task, policy: &str, seed: u64) -> Result<Option<Recording>, Error> {
+        let recorder = Self { finished: !self.rows.reward.is_empty(), ..self.clone() };
+        recorder.finish(task, policy, seed, None)
     }
 
     /// Returns the recording; `None` if the episode was not played to its end.

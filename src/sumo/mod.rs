@@ -34,7 +34,7 @@ pub use error::Error;
 pub use hosting::{Backend, Choice, Hosting, arguments, start, usable};
 #[cfg(feature = "libsumo")]
 pub use libsumo::{LibsumoModule, LibsumoSimulation};
-pub use process::{Installation, find_program};
+pub use process::{Installation, also_look_in, find_program};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     BackgroundTraffic, Body, Collision, Command, Departure, Dropped, Meter, Renewal, Route,

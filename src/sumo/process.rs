@@ -44,7 +44,7 @@ use super::{
 use group::{Group, Loading, Patience};
 #[cfg(feature = "libsumo")]
 pub(super) use installation::sites;
-pub use installation::{Installation, find_program};
+pub use installation::{Installation, also_look_in, find_program};
 use spawn::{Guard, spawn_from_lasting_thread};
 
 /// Maximum number of ports that are tried.

@@ -83,6 +83,17 @@ impl Episode {
         self.order.position.replaying
     }
 
+    /// Makes the coming exchange start the first of the episodes `first, first + stride, …` below
+    /// `end` of another stream.
+    pub(super) fn restart(&mut self, seed: Seed, first: u64, stride: u64, end: u64) {
+        *self = Self {
+            phase: Phase::Ended,
+            respawns: self.respawns,
+            interrupted: self.interrupted,
+            ..Self::new(seed, first, stride, end)
+        };
+    }
+
     /// Makes the coming exchange start the episode with this number.
     pub(super) fn go_to(&mut self, index: u64) {
         self.order.go_to(index);

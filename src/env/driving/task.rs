@@ -10,7 +10,8 @@ use super::map::Map;
 use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
-    Control, Demand, Finish, PlannedDeparture, Scenario, Source, SpawnPlace, Start, VehicleKind,
+    Control, Demand, Finish, PlannedDeparture, PlannedSource, Scenario, Source, Spacing,
+    SpawnPlace, Start, VehicleKind,
 };
 use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
 
@@ -154,6 +155,33 @@ impl Task {
                  `iwol scenario check` names all such vehicles"
             );
         }
+    }
+
+    /// Returns an upper bound of the number of agents of an episode. It is larger than
+    /// [`Task::agents`] where slots are used again; numbers that are drawn exceed it once in a
+    /// thousand million episodes.
+    pub fn most_agents(&self) -> usize {
+        if !self.has_flow() {
+            return self.agents;
+        }
+        let control = &self.scenario.control;
+        let horizon = f64::from(self.scenario.termination.horizon) * control.interval;
+        let most = |source: &PlannedSource| {
+            let time = (source.end.min(horizon) - source.begin).max(0.0);
+            let drawn = |mean: f64| mean + 6.0 * mean.sqrt() + 6.0;
+            let departures = match source.spacing {
+                Spacing::Equal(gap) => time / gap + 1.0,
+                Spacing::Poisson(rate) => drawn(rate * time),
+                Spacing::Chance(_) => time + 1.0,
+            };
+            let types = self.demand.sources[source.source].types.iter();
+            let scale =
+                types.map(|entry| self.demand.types[entry.0].scale.ceil()).fold(1.0, f64::max);
+            (departures.min(source.number as f64) * scale) as usize
+        };
+        let sources = self.map.plan.sources.iter();
+        self.starting
+            + sources.filter(|source| self.may_be_agents(source.source)).map(most).sum::<usize>()
     }
 
     /// Returns the number of slots of a world: those of agents and of background traffic.

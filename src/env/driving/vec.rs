@@ -227,6 +227,17 @@ impl VecEnv {
         self.worlds_mut().for_each(World::start_next);
     }
 
+    /// Makes every world start another stream with the coming step, whatever is on the road now:
+    /// world `e` plays the episodes `episodes.start + e`, `episodes.start + e + E`, … of the stream
+    /// `seed`. The episodes are those of a new [`VecEnv`] with these options, and the simulators go
+    /// on.
+    pub fn restart(&mut self, seed: Seed, episodes: std::ops::Range<u64>) {
+        let stride = self.worlds as u64;
+        for (e, world) in self.worlds_mut().enumerate() {
+            world.restart(seed, episodes.start + e as u64, stride, episodes.end);
+        }
+    }
+
     /// Returns the state of every world, for [`VecEnv::restore`].
     pub fn states(&self) -> Vec<WorldState> {
         self.worlds().map(World::state).collect()

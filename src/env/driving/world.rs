@@ -190,6 +190,12 @@ impl World {
         self.episode.go_to(episode);
     }
 
+    /// Makes the coming exchange start the first of the episodes `first, first + stride, …` below
+    /// `end` of another stream, whatever is on the road now.
+    pub(super) fn restart(&mut self, seed: Seed, first: u64, stride: u64, end: u64) {
+        self.episode.restart(seed, first, stride, end);
+    }
+
     /// Makes the coming exchange start the next episode, whatever is on the road now.
     pub(super) fn start_next(&mut self) {
         self.episode.phase = Phase::Ended;

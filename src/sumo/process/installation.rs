@@ -11,10 +11,20 @@ use std::{
     os::unix::fs::PermissionsExt as _,
     path::{Path, PathBuf},
     process::{Command, Stdio},
+    sync::OnceLock,
 };
 
 use super::{Error, Options, Process, empty_net};
 use crate::sumo::client::Version;
+
+/// Folder of Python packages of the interpreter that this library runs in.
+static OWN_SITE: OnceLock<PathBuf> = OnceLock::new();
+
+/// Lets [`Installation::find`] look for the Python package `eclipse-sumo` in this folder as well,
+/// before those of the environment. The first call counts.
+pub fn also_look_in(site: &Path) {
+    OWN_SITE.get_or_init(|| site.to_owned());
+}
 
 /// An installation of SUMO.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -27,7 +37,7 @@ pub struct Installation {
 
 impl Installation {
     /// Finds SUMO in `$SUMO_HOME/bin`, then in `PATH`, then in a Python package `eclipse-sumo` in
-    /// `PYTHONPATH`, `VIRTUAL_ENV`, `CONDA_PREFIX` or `~/.local`.
+    /// the folder of [`also_look_in`], `PYTHONPATH`, `VIRTUAL_ENV`, `CONDA_PREFIX` or `~/.local`.
     ///
     /// # Errors
     /// [`Error::NotFound`] with the folders that were searched.
@@ -40,7 +50,8 @@ impl Installation {
         let home = variable("SUMO_HOME").filter(|home| !home.is_empty());
         let home = home.as_deref().map(|home| Path::new(home).join("bin"));
         let path = folders(variable("PATH"));
-        let sites = sites(&variable);
+        let sites: Vec<PathBuf> =
+            OWN_SITE.get().cloned().into_iter().chain(sites(&variable)).collect();
         let packages = sites.iter().map(|site| site.join("sumo/bin"));
         let passed_over = match &home {
             Some(bin) => {

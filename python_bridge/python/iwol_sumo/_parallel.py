@@ -1,0 +1,258 @@
+"""One world as a PettingZoo environment."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium.spaces import Box
+from gymnasium.utils import EzPickle
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from . import _native
+from ._scenarios import load_task
+from ._vec import Feature, Frame, box
+from .errors import Error
+
+
+class VehicleEnv(ParallelEnv, EzPickle):
+    """One world of a scenario, in which each vehicle is an agent.
+
+    Agents are called ``vehicle_0``, ``vehicle_1``, …. Who arrives, crashes or leaves the road is terminated; who is on the
+    road at the horizon is truncated. Nobody comes back within an episode. Where agents come from route files, each vehicle
+    that departs is an agent with a name of its own.
+
+    The environment can be pickled and copied; a copy starts a SUMO of its own with its first :meth:`reset`.
+    """
+
+    def __init__(
+        self,
+        scenario: str | os.PathLike[str],
+        agents: int | None = None,
+        *,
+        seed: int = 0,
+        render_mode: str | None = None,
+        overrides: Mapping[str, Any] | None = None,
+        timeout: float = 20.0,
+        audit: bool = False,
+    ) -> None:
+        """Prepares the world; see :func:`iwol_sumo.parallel_env`."""
+        EzPickle.__init__(
+            self,
+            os.fspath(scenario),
+            agents,
+            seed=seed,
+            render_mode=render_mode,
+            overrides=overrides,
+            timeout=timeout,
+            audit=audit,
+        )
+        task = load_task(scenario, agents, overrides)
+        self.metadata = {
+            "name": "iwol_sumo_v0",
+            "render_modes": ["html", "svg"],
+            "is_parallelizable": True,
+            "render_fps": round(1.0 / task.interval),
+        }
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise Error(f"render_mode {render_mode!r} is none of 'html', 'svg', None")
+        self.render_mode = render_mode
+        self._env = _native.NativeEnv(task, 1, 1, timeout, audit)
+        self._first_seed = seed
+        self._seed: int | None = None
+        self._episode = 0
+        self._closed = False
+        self._slots = task.agents
+        self.features = [Feature(*row) for row in task.observation]
+        """The numbers of an observation."""
+        self.state_features = [Feature(*row) for row in task.state]
+        """The numbers of one agent's row of :meth:`state`."""
+        self.actions = list(task.actions)
+        """Names of the numbers of an action, each in -1..1."""
+        self.possible_agents = [f"vehicle_{i}" for i in range(task.most_agents)]
+        self.agents: list[str] = []
+        space, action = box(self.features), Box(-1.0, 1.0, (len(self.actions),), np.float32)
+        self.observation_spaces = dict.fromkeys(self.possible_agents, space)
+        self.action_spaces = dict.fromkeys(self.possible_agents, action)
+        row = box(self.state_features)
+        self.state_space = Box(
+            np.tile(row.low, (self._slots, 1)), np.tile(row.high, (self._slots, 1)), dtype=np.float32
+        )
+        self.last_episode: dict[str, Any] | None = None
+        """Record of the last episode that ended: success, safety, reward, …; the fields are those of ``iwol evaluate``."""
+        self._frame = Frame.empty(1, self._slots, len(self.features), len(self.state_features))
+        self._actions = np.zeros((1, self._slots, len(self.actions)), np.float32)
+        # Name of the agent that has each slot, and number of agents so far.
+        self._names: list[str | None] = [None] * self._slots
+        self._known = 0
+        self._ended = False
+
+    def observation_space(self, agent: str) -> Box:
+        """Returns the space of an agent's observations, always the same object."""
+        return self.observation_spaces[agent]
+
+    def action_space(self, agent: str) -> Box:
+        """Returns the space of an agent's actions, always the same object."""
+        return self.action_spaces[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Starts an episode.
+
+        Args:
+            seed: stream of episodes, which starts with its first one; without it, the next episode of the present stream.
+            options: ``{"episode": k}`` starts episode k of the stream. Other entries are ignored.
+
+        Returns:
+            Observations and infos of all possible agents; those of agents that are not on the road are zeros.
+        """
+        if seed is not None or self._seed is None:
+            self._seed, self._episode = (self._first_seed if seed is None else seed), 0
+        else:
+            self._episode += 1
+        self._episode = int((options or {}).get("episode", self._episode))
+        self._env.start(self._seed, self._episode, self.render_mode is not None, self._frame)
+        self._closed = False
+        self._names, self._known, self._ended = [None] * self._slots, 0, False
+        self._await_agents()
+        nothing = np.zeros(len(self.features), np.float32)
+        observations = dict.fromkeys(self.possible_agents, nothing)
+        infos = {name: self._info(None) for name in self.possible_agents}
+        for slot, name in self._present():
+            observations[name] = self._frame.observation[0, slot].copy()
+            infos[name] = self._info(slot)
+        return observations, infos
+
+    def step(self, actions: Mapping[str, Any]) -> tuple[
+        dict[str, NDArray[np.float32]],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Performs one decision of the agents that are live.
+
+        Actions of agents that are gone are ignored. After the end of the episode the result is five empty dictionaries.
+
+        Raises:
+            Error: if a live agent has no action, its action has a wrong shape or is NaN, or a name is unknown.
+            SumoError: if SUMO failed twice.
+        """
+        if self._seed is None:
+            raise Error("step() before reset(): call reset() first")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        for name in actions.keys() - self.observation_spaces.keys():
+            raise Error(f"there is no agent {name!r}; agents are {self.possible_agents[0]} to {self.possible_agents[-1]}")
+        for slot, name in self._present():
+            if name not in actions:
+                raise Error(f"{name} is live and has no action")
+            action = np.asarray(actions[name], np.float32)
+            if action.shape != (len(self.actions),):
+                raise Error(f"the action of {name} has the shape {action.shape} instead of ({len(self.actions)},)")
+            if np.isnan(action).any():
+                raise Error(f"the action of {name} is NaN")
+            self._actions[0, slot] = action
+        before = list(self._present())
+        self._decide()
+        frame = self._frame
+        observations = {name: frame.observation[0, slot].copy() for slot, name in before}
+        rewards = {name: float(frame.reward[0, slot]) for slot, name in before}
+        terminations = {name: bool(frame.terminated[0, slot]) for slot, name in before}
+        truncations = {name: bool(frame.truncated[0, slot]) for slot, name in before}
+        infos = {name: self._info(slot) for slot, name in before}
+        for slot, name in before:
+            if terminations[name] or truncations[name]:
+                self._names[slot] = None
+        for slot, name in self._await_agents():
+            observations[name] = frame.observation[0, slot].copy()
+            rewards[name], terminations[name], truncations[name] = 0.0, False, False
+            infos[name] = self._info(slot)
+        return observations, rewards, terminations, truncations, infos
+
+    def _decide(self) -> None:
+        """Performs a step with the present actions."""
+        for _, record in self._env.step(self._actions, self._frame):
+            self.last_episode = json.loads(record)
+            self._ended = True
+
+    def _await_agents(self) -> list[tuple[int, str]]:
+        """Returns slot and name of the agents that have come to be on the road.
+
+        Steps in which nobody is there to act, because agents of route files are still to come, are taken at once.
+        """
+        while not (self._ended or self._frame.active.any()):
+            self._decide()
+        new = []
+        active, start = self._frame.active[0], self._frame.start[0]
+        for slot in range(self._slots):
+            if active[slot] and (start[slot] or self._names[slot] is None):
+                self._names[slot] = name = self.possible_agents[self._known]
+                self._known += 1
+                new.append((slot, name))
+        self.agents = [name for _, name in self._present()]
+        return new
+
+    def _present(self) -> list[tuple[int, str]]:
+        """Returns slot and name of the agents that are live."""
+        return [(slot, name) for slot, name in enumerate(self._names) if name is not None]
+
+    def _info(self, slot: int | None) -> dict[str, Any]:
+        """Returns an agent's info, which always has the same entries."""
+        if slot is None:
+            return {
+                "comm": np.zeros(self._slots, np.float32),
+                "arrived": False,
+                "crashed": False,
+                "out_of_road": False,
+                "interrupted": False,
+            }
+        arrived, crashed, out_of_road = (bool(flag) for flag in self._frame.outcome[0, slot])
+        return {
+            "comm": self._frame.comm[0, slot].copy(),
+            "arrived": arrived,
+            "crashed": crashed,
+            "out_of_road": out_of_road,
+            "interrupted": bool(self._frame.interrupted[0]),
+        }
+
+    def state(self) -> NDArray[np.float32]:
+        """Returns the privileged state ``[N, S]``: a row for each vehicle slot, zeros where nobody is."""
+        return self._frame.state[0].copy()
+
+    def render(self) -> str | None:
+        """Returns the episode so far, as `render_mode` says.
+
+        ``"html"``: a page that plays it; ``"svg"``: a picture of the last step. None before the first step.
+        """
+        if self.render_mode is None:
+            raise Error('nothing is recorded: make the environment with render_mode="html" or "svg"')
+        return self._env.render(self.render_mode == "html")
+
+    def _repr_html_(self) -> str:
+        """Returns the last step's picture for notebooks, if the episode is recorded."""
+        picture = self._env.render(False) if self.render_mode is not None else None
+        return picture or f"<pre>{self!r}</pre>"
+
+    def save_replay(self, path: str | os.PathLike[str]) -> None:
+        """Writes the episode so far to a file that ``iwol replay`` turns into a player."""
+        if not self._env.save_recording(os.fspath(path)):
+            raise Error("nothing is recorded: make the environment with render_mode, and step it first")
+
+    def close(self) -> None:
+        """Ends SUMO. Nothing happens if it does not run."""
+        if not self._closed:
+            self._closed = True
+            self._env.close()
+            self.agents = []
+
+    def __enter__(self) -> VehicleEnv:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()

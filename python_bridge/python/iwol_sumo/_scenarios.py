@@ -1,0 +1,62 @@
+"""Names and files of scenarios."""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from . import _native
+from .errors import ScenarioError
+
+FOLDER = Path(__file__).parent / "data" / "scenarios"
+
+
+def scenarios() -> list[str]:
+    """Returns the names of the scenarios that come with the package."""
+    return sorted(file.stem for file in FOLDER.glob("*.xml"))
+
+
+def scenario_file(scenario: str | os.PathLike[str]) -> Path:
+    """Returns the file of a scenario: of a name from :func:`scenarios`, or the path itself.
+
+    Raises:
+        ScenarioError: if there is no such scenario.
+    """
+    file = Path(scenario)
+    if file.exists():
+        return file
+    names = scenarios()
+    if str(scenario) in names:
+        return FOLDER / f"{scenario}.xml"
+    near = difflib.get_close_matches(str(scenario), names, n=1)
+    meant = f"; did you mean {near[0]!r}?" if near else ""
+    raise ScenarioError(
+        f"there is no scenario {str(scenario)!r}{meant} Give the path of a scenario file, or one of: {', '.join(names)}"
+    )
+
+
+def text_of(value: Any) -> str:
+    """Returns a value as it is written in a scenario file."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return str(value)
+
+
+def load_task(
+    scenario: str | os.PathLike[str], agents: int | None, overrides: Mapping[str, Any] | None
+) -> _native.NativeTask:
+    """Prepares a scenario for a number of vehicles; see :func:`iwol_sumo.parallel_env`."""
+    pairs = [(name, text_of(value)) for name, value in (overrides or {}).items()]
+    return _native.NativeTask(scenario_file(scenario), agents, pairs)
+
+
+def settings(scenario: str | os.PathLike[str]) -> dict[str, tuple[str | None, str]]:
+    """Returns what ``overrides`` may set in a scenario: present value and documentation by name.
+
+    Names are paths in the scenario file, such as ``"observation.neighbours"``.
+    """
+    rows = _native.overridable(scenario_file(scenario))
+    return {name: (value, text) for name, value, text in rows}

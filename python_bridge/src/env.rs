@@ -1,0 +1,357 @@
+//! Worlds in lock-step, whose results are written into NumPy's arrays.
+
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
+use std::time::Duration;
+
+use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions, World};
+use iwol_sumo::replay::{RecordedDiagnostics, Recorder, Recording};
+use iwol_sumo::rng::Seed;
+use iwol_sumo::sumo::Hosting;
+use numpy::{
+    Element, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
+};
+use pyo3::prelude::*;
+
+use crate::error::{exception, of_env};
+use crate::task::NativeTask;
+
+/// Process that first used an environment. The threads that start SUMO and that step worlds do not
+/// exist in processes forked from it.
+static FIRST_USER: OnceLock<u32> = OnceLock::new();
+
+/// Refuses to work in a process that was forked after the first use of an environment.
+pub(crate) fn refuse_after_fork(py: Python<'_>) -> PyResult<()> {
+    let own = std::process::id();
+    if *FIRST_USER.get_or_init(|| own) == own {
+        return Ok(());
+    }
+    let text = "environments do not work in a process that was forked after one was used: start \
+                processes with multiprocessing.get_context(\"spawn\")";
+    Err(exception(py, "Error", text.into()))
+}
+
+/// Returns the stream of episodes of a user's seed, that of `iwol evaluate --seed`.
+fn stream(seed: u64) -> Seed {
+    Seed::new(seed).child("evaluation").child("episodes")
+}
+
+/// E worlds of one task, which step together.
+#[pyclass(frozen, module = "iwol_sumo._native")]
+pub(crate) struct NativeEnv {
+    task: Arc<Task>,
+    worlds: usize,
+    hosting: Hosting,
+    running: Mutex<Option<Running>>,
+}
+
+/// What exists from the first reset on.
+struct Running {
+    env: VecEnv,
+    /// Actions of the coming step, `[E, N, A]`.
+    actions: Vec<f32>,
+    /// Recorder of world 0's episode, where recordings are wanted.
+    recorder: Option<Recorder>,
+    seed: u64,
+}
+
+/// Arrays that receive a step's results, and their names in errors.
+#[derive(FromPyObject)]
+pub(crate) struct Arrays<'py> {
+    /// `[E, N, O]`
+    #[pyo3(attribute)]
+    observation: Bound<'py, PyArrayDyn<f32>>,
+    /// `[E, N, S]`
+    #[pyo3(attribute)]
+    state: Bound<'py, PyArrayDyn<f32>>,
+    /// `[E, N, N]`
+    #[pyo3(attribute)]
+    comm: Bound<'py, PyArrayDyn<f32>>,
+    /// `[E, N]`
+    #[pyo3(attribute)]
+    reward: Bound<'py, PyArrayDyn<f32>>,
+    /// `[E, N]`
+    #[pyo3(attribute)]
+    active: Bound<'py, PyArrayDyn<bool>>,
+    /// `[E, N]`
+    #[pyo3(attribute)]
+    terminated: Bound<'py, PyArrayDyn<bool>>,
+    /// `[E, N]`
+    #[pyo3(attribute)]
+    truncated: Bound<'py, PyArrayDyn<bool>>,
+    /// `[E, N]`
+    #[pyo3(attribute)]
+    start: Bound<'py, PyArrayDyn<bool>>,
+    /// `[E]`
+    #[pyo3(attribute)]
+    interrupted: Bound<'py, PyArrayDyn<bool>>,
+    /// `[E, N, 3]`: arrived, crashed, off-road.
+    #[pyo3(attribute)]
+    outcome: Bound<'py, PyArrayDyn<bool>>,
+}
+
+#[pymethods]
+impl NativeEnv {
+    /// Prepares `worlds` worlds; SUMO starts with the first reset. `processes` is the number of SUMO
+    /// processes, 0 for one per core; `timeout` is the longest wait for SUMO's answer in seconds.
+    #[new]
+    fn new(
+        py: Python<'_>,
+        task: &NativeTask,
+        worlds: usize,
+        processes: usize,
+        timeout: f64,
+        audit: bool,
+    ) -> PyResult<Self> {
+        if worlds == 0 {
+            return Err(exception(py, "Error", "num_envs is 0; allowed: at least 1".into()));
+        }
+        let Some(timeout) = Duration::try_from_secs_f64(timeout).ok().filter(|t| !t.is_zero())
+        else {
+            let text = format!("timeout is {timeout}; allowed: seconds above 0");
+            return Err(exception(py, "Error", text));
+        };
+        let hosting = Hosting { processes, timeout, audit, ..Hosting::default() };
+        Ok(Self { task: Arc::clone(&task.task), worlds, hosting, running: Mutex::new(None) })
+    }
+
+    /// Starts the episodes `episode`, `episode + 1`, … of the stream `seed` in the worlds, and
+    /// writes the first frames. `record`: whether world 0's episode is recorded.
+    fn start(
+        &self,
+        py: Python<'_>,
+        seed: u64,
+        episode: u64,
+        record: bool,
+        arrays: Arrays<'_>,
+    ) -> PyResult<()> {
+        refuse_after_fork(py)?;
+        let mut running = self.lock(py)?;
+        let (running_now, task, worlds) = (&mut *running, &self.task, self.worlds);
+        let started = py.detach(|| match running_now {
+            Some(running) => {
+                running.env.restart(stream(seed), episode..u64::MAX);
+                running.actions.fill(0.0);
+                running.env.step(&running.actions)
+            }
+            None => {
+                let options = VecOptions {
+                    worlds,
+                    driver: Driver::Agents,
+                    seed: stream(seed),
+                    episodes: episode..u64::MAX,
+                    replay: 0.0,
+                    hosting: self.hosting,
+                };
+                let actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
+                VecEnv::new(task, &options).map(|env| {
+                    *running_now = Some(Running { env, actions, recorder: None, seed });
+                })
+            }
+        });
+        if let Err(error) = started {
+            *running_now = None;
+            return Err(of_env(py, &error));
+        }
+        let Some(running) = running_now else { return Ok(()) };
+        running.env.take_finished();
+        running.seed = seed;
+        running.recorder = record.then(|| Recorder::new(task, episode));
+        self.fill(py, &running.env, &arrays)
+    }
+
+    /// Performs one decision of all worlds with the actions `[E, N, A]`, and writes the next frames.
+    /// Returns the worlds whose episodes have ended with it, and their records as JSON.
+    fn step(
+        &self,
+        py: Python<'_>,
+        actions: &Bound<'_, PyArrayDyn<f32>>,
+        arrays: Arrays<'_>,
+    ) -> PyResult<Vec<(usize, String)>> {
+        refuse_after_fork(py)?;
+        let mut running = self.lock(py)?;
+        let Some(running) = running.as_mut() else {
+            let text = "step() before reset(), or after close(): call reset() first";
+            return Err(exception(py, "Error", text.into()));
+        };
+        self.take_actions(py, actions, running)?;
+        let Running { env, actions, recorder, .. } = running;
+        if let (Some(recorder), Some(world)) = (&mut *recorder, env.worlds().next())
+            && recorder.watches(world)
+        {
+            let width = self.task.agents * self.task.spec.actions.len();
+            recorder.decide(world, &actions[..width], &RecordedDiagnostics::default());
+        }
+        let taken = py.detach(|| env.step(actions));
+        taken.map_err(|error| of_env(py, &error))?;
+        if let (Some(recorder), Some(world)) = (&mut *recorder, env.worlds().next()) {
+            recorder.reward(world);
+        }
+        self.fill(py, env, &arrays)?;
+        let finished = env.take_finished();
+        if finished.is_empty() {
+            return Ok(Vec::new());
+        }
+        let json = |record: &iwol_sumo::env::EpisodeRecord| {
+            serde_json::to_string(record).map_err(|error| exception(py, "Error", error.to_string()))
+        };
+        let world = |episode| env.worlds().position(|world| world.episode() == episode);
+        finished
+            .iter()
+            .map(|record| Ok((world(record.episode).unwrap_or(0), json(record)?)))
+            .collect()
+    }
+
+    /// Returns the numbers of the episodes that the worlds play.
+    fn episodes(&self, py: Python<'_>) -> PyResult<Vec<u64>> {
+        let running = self.lock(py)?;
+        Ok(running.iter().flat_map(|running| running.env.worlds().map(World::episode)).collect())
+    }
+
+    /// Returns world 0's episode so far as an HTML player, or as an SVG picture of its last step;
+    /// `None` before the first step.
+    fn render(&self, py: Python<'_>, html: bool) -> PyResult<Option<String>> {
+        Ok(self
+            .recording(py)?
+            .map(|recording| if html { recording.player() } else { recording.still(usize::MAX) }))
+    }
+
+    /// Writes world 0's episode so far to a file, for `iwol replay`. Returns whether there is
+    /// anything to write.
+    fn save_recording(&self, py: Python<'_>, path: std::path::PathBuf) -> PyResult<bool> {
+        let Some(recording) = self.recording(py)? else { return Ok(false) };
+        let saved = recording.save(&path);
+        saved.map_err(|error| exception(py, "Error", error.to_string()))?;
+        Ok(true)
+    }
+
+    /// Ends SUMO. Nothing happens if it does not run.
+    fn close(&self, py: Python<'_>) -> PyResult<()> {
+        // In a forked process SUMO belongs to the parent.
+        if FIRST_USER.get().is_some_and(|first| *first != std::process::id()) {
+            return Ok(());
+        }
+        let running = self.lock(py)?.take();
+        py.detach(|| drop(running));
+        Ok(())
+    }
+}
+
+impl NativeEnv {
+    fn lock(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Option<Running>>> {
+        match self.running.try_lock() {
+            Ok(running) => Ok(running),
+            Err(TryLockError::Poisoned(poisoned)) => Ok(poisoned.into_inner()),
+            Err(TryLockError::WouldBlock) => {
+                let text = "the environment is in use by another thread: give each thread its own";
+                Err(exception(py, "Error", text.into()))
+            }
+        }
+    }
+
+    /// Copies the actions, whose memory Python may change while Rust works.
+    fn take_actions(
+        &self,
+        py: Python<'_>,
+        actions: &Bound<'_, PyArrayDyn<f32>>,
+        running: &mut Running,
+    ) -> PyResult<()> {
+        let (agents, width) = (self.task.agents, self.task.spec.actions.len());
+        let wanted = [self.worlds, agents, width];
+        let given: PyReadonlyArrayDyn<'_, f32> = actions.try_readonly()?;
+        if given.shape() != wanted {
+            let text = format!("actions have the shape {:?} instead of {wanted:?}", given.shape());
+            return Err(exception(py, "Error", text));
+        }
+        match given.as_slice() {
+            Ok(given) => running.actions.copy_from_slice(given),
+            Err(_) => {
+                let given = given.as_array();
+                running.actions.iter_mut().zip(given.iter()).for_each(|(to, from)| *to = *from);
+            }
+        }
+        let rows = running.env.worlds().flat_map(|world| &world.frame().active);
+        for (row, (active, action)) in rows.zip(running.actions.chunks_exact_mut(width)).enumerate()
+        {
+            if *active < 0.5 {
+                action.fill(0.0);
+            } else if action.iter().any(|value| value.is_nan()) {
+                let (e, i) = (row / agents, row % agents);
+                let text = format!("the action of vehicle_{i} in environment {e} is NaN");
+                return Err(exception(py, "Error", text));
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes the worlds' frames to the arrays.
+    fn fill(&self, py: Python<'_>, env: &VecEnv, arrays: &Arrays<'_>) -> PyResult<()> {
+        let (n, spec) = (self.task.agents, &self.task.spec);
+        let (o, s) = (spec.observation.len(), spec.state.len());
+        let worlds = || env.worlds().map(World::frame);
+        let copy = |name: &str, array: &Bound<'_, PyArrayDyn<f32>>, width: usize, of: Numbers| {
+            write(py, name, array, self.worlds * n * width, |out| {
+                let rows = out.chunks_exact_mut((n * width).max(1));
+                rows.zip(worlds()).for_each(|(out, frame)| out.copy_from_slice(of(frame)));
+            })
+        };
+        copy("observation", &arrays.observation, o, |frame| &frame.observation)?;
+        copy("state", &arrays.state, s, |frame| &frame.state)?;
+        copy("comm", &arrays.comm, n, |frame| &frame.comm)?;
+        copy("reward", &arrays.reward, 1, |frame| &frame.reward)?;
+        let flags = |name: &str, array: &Bound<'_, PyArrayDyn<bool>>, of: Numbers| {
+            write(py, name, array, self.worlds * n, |out| {
+                let values = worlds().flat_map(of);
+                out.iter_mut().zip(values).for_each(|(out, value)| *out = *value > 0.5);
+            })
+        };
+        flags("active", &arrays.active, |frame| &frame.active)?;
+        flags("terminated", &arrays.terminated, |frame| &frame.terminated)?;
+        flags("truncated", &arrays.truncated, |frame| &frame.truncated)?;
+        flags("start", &arrays.start, |frame| &frame.start)?;
+        write(py, "interrupted", &arrays.interrupted, self.worlds, |out| {
+            out.iter_mut().zip(worlds()).for_each(|(out, frame)| *out = frame.interrupted);
+        })?;
+        write(py, "outcome", &arrays.outcome, self.worlds * n * 3, |out| {
+            let agents = env.worlds().flat_map(World::agents);
+            for (out, agent) in out.chunks_exact_mut(3).zip(agents) {
+                let outcome = agent.outcome;
+                out.copy_from_slice(&[outcome.arrived, outcome.crashed, outcome.out_of_road]);
+            }
+        })
+    }
+
+    fn recording(&self, py: Python<'_>) -> PyResult<Option<Recording>> {
+        let running = self.lock(py)?;
+        let Some(Running { recorder: Some(recorder), seed, .. }) = running.as_ref() else {
+            return Ok(None);
+        };
+        let recording = recorder.so_far(&self.task, "Python", *seed);
+        recording.map_err(|error| exception(py, "Error", error.to_string()))
+    }
+}
+
+/// The numbers of a frame that an array receives.
+type Numbers = fn(&iwol_sumo::env::Frame) -> &[f32];
+
+/// Lets `fill` write the `len` elements of a C-contiguous array.
+fn write<T: Element>(
+    py: Python<'_>,
+    name: &str,
+    array: &Bound<'_, PyArrayDyn<T>>,
+    len: usize,
+    fill: impl FnOnce(&mut [T]),
+) -> PyResult<()> {
+    let mut array = array.try_readwrite().map_err(|error| {
+        exception(py, "Error", format!("the array `{name}` cannot be written: {error}"))
+    })?;
+    match array.as_slice_mut() {
+        Ok(out) if out.len() == len => {
+            fill(out);
+            Ok(())
+        }
+        _ => {
+            let text = format!("the array `{name}` must be C-contiguous with {len} elements");
+            Err(exception(py, "Error", text))
+        }
+    }
+}

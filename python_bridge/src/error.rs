@@ -1,0 +1,45 @@
+//! Errors of the library as Python exceptions.
+
+use iwol_sumo::{env, scenario, sumo};
+use pyo3::prelude::*;
+
+/// Returns the exception of this name in `iwol_sumo.errors`, with a text.
+pub(crate) fn exception(py: Python<'_>, name: &str, text: String) -> PyErr {
+    let class = py.import("iwol_sumo.errors").and_then(|errors| errors.getattr(name));
+    match class.and_then(|class| class.call1((text,))) {
+        Ok(exception) => PyErr::from_value(exception),
+        Err(error) => error,
+    }
+}
+
+/// Returns an error with all its causes, and the hint, as one text.
+fn text(error: &(dyn std::error::Error + 'static), hint: Option<String>) -> String {
+    let causes = std::iter::successors(Some(error), |error| error.source());
+    let mut parts: Vec<String> = causes.map(ToString::to_string).collect();
+    // An error that shows its cause as its own text would say it twice.
+    parts.dedup();
+    let text = parts.join(": ");
+    hint.map_or(text.clone(), |hint| format!("{text}\nhint: {hint}"))
+}
+
+/// Returns the exception for an error of an environment.
+pub(crate) fn of_env(py: Python<'_>, error: &env::Error) -> PyErr {
+    let name = match error {
+        env::Error::Scenario(_) | env::Error::Net(_) | env::Error::Long { .. } => "ScenarioError",
+        env::Error::Sumo { .. } | env::Error::Vanished { .. } | env::Error::KeepsFailing { .. } => {
+            "SumoError"
+        }
+        _ => "Error",
+    };
+    exception(py, name, text(error, error.hint()))
+}
+
+/// Returns the exception for an error of a scenario.
+pub(crate) fn of_scenario(py: Python<'_>, error: &scenario::Error) -> PyErr {
+    exception(py, "ScenarioError", text(error, error.hint()))
+}
+
+/// Returns the exception for an error of SUMO.
+pub(crate) fn of_sumo(py: Python<'_>, error: &sumo::Error) -> PyErr {
+    exception(py, "SumoError", text(error, error.hint()))
+}

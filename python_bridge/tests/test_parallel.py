@@ -1,0 +1,167 @@
+"""One world by PettingZoo's conventions."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+import iwol_sumo
+
+
+def full_throttle(env):
+    return {agent: np.ones(len(env.actions), np.float32) for agent in env.agents}
+
+
+def play(env, seed, episode):
+    """Plays an episode at random and returns all that is observed."""
+    rng = np.random.default_rng(0)
+    seen = [env.reset(seed=seed, options={"episode": episode})]
+    while env.agents:
+        actions = {agent: rng.uniform(-0.2, 1, len(env.actions)).astype(np.float32) for agent in env.agents}
+        seen.append(env.step(actions))
+    return seen, env.last_episode
+
+
+def same(a, b):
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[key], b[key]) for key in a)
+    if isinstance(a, (list, tuple)):
+        return len(a) == len(b) and all(map(same, a, b))
+    return np.array_equal(a, b)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("scenario", ["intersection", "parking_lot", "flow_cross"])
+def test_pettingzoo_accepts_the_environment(scenario):
+    with iwol_sumo.parallel_env(scenario) as env:
+        parallel_api_test(env, num_cycles=300)
+
+
+def test_pettingzoo_accepts_the_seeds():
+    parallel_seed_test(lambda: iwol_sumo.parallel_env("intersection"))
+
+
+def test_a_seed_and_a_number_give_the_same_episode():
+    with iwol_sumo.parallel_env("intersection") as one, iwol_sumo.parallel_env("intersection") as two:
+        first = [play(one, 3, k) for k in (0, 1, 4)]
+        # The other one has played something else before.
+        play(two, 8, 2)
+        again = [play(two, 3, k) for k in (0, 1, 4)]
+        assert same(first, again)
+        assert not same(first[0], first[1])
+        assert not same(first[0], play(two, 4, 0))
+
+
+def test_reset_without_a_seed_takes_the_next_episode(intersection):
+    wanted = play(intersection, 3, 1)
+    intersection.reset(seed=3)
+    rng = np.random.default_rng(0)
+    seen = [intersection.reset()]
+    while intersection.agents:
+        actions = {a: rng.uniform(-0.2, 1, 1).astype(np.float32) for a in intersection.agents}
+        seen.append(intersection.step(actions))
+    assert same(seen, wanted[0])
+
+
+def test_observations_stay_within_their_spaces(intersection):
+    for observations, *rest in play(intersection, 0, 0)[0]:
+        for agent, observation in observations.items():
+            assert intersection.observation_space(agent).contains(observation)
+    assert intersection.state_space.contains(intersection.state())
+    assert intersection.observation_space("vehicle_0") is intersection.observation_space("vehicle_0")
+
+
+def test_crashes_and_the_horizon_are_told_apart(intersection):
+    intersection.reset(seed=0)
+    ended = {}
+    while intersection.agents:
+        _, rewards, terminations, truncations, infos = intersection.step(full_throttle(intersection))
+        for agent, done in terminations.items():
+            assert not truncations[agent]
+            if done:
+                ended[agent] = infos[agent]
+                assert rewards[agent] == (-10 if infos[agent]["crashed"] else 10)
+    assert len(ended) == 8
+    assert any(info["crashed"] for info in ended.values())
+    with iwol_sumo.parallel_env("intersection", overrides={"termination.horizon": 50}) as short:
+        short.reset(seed=0)
+        steps = 0
+        while short.agents:
+            steps += 1
+            _, _, terminations, truncations, _ = short.step({a: np.full(1, -1.0) for a in short.agents})
+        assert steps == 50 and all(truncations.values()) and not any(terminations.values())
+        assert short.step({}) == ({}, {}, {}, {}, {})
+
+
+def test_agents_of_route_files_come_and_go():
+    with iwol_sumo.parallel_env("flow_cross", overrides={"termination.horizon": 300}) as env:
+        env.reset(seed=0)
+        seen, gone = set(env.agents), set()
+        while env.agents:
+            assert not gone & set(env.agents), "an agent came back"
+            before = set(env.agents)
+            _, _, terminations, truncations, _ = env.step(full_throttle(env))
+            gone |= {agent for agent in before if terminations[agent] or truncations[agent]}
+            seen |= set(env.agents)
+        assert len(seen) > env._slots or len(seen) > 8, seen
+        assert env.last_episode["flow"]["departed"] == len(seen)
+
+
+def test_mistakes_are_named(intersection):
+    with pytest.raises(iwol_sumo.Error, match="call reset"):
+        intersection.step({})
+    intersection.reset(seed=0)
+    actions = full_throttle(intersection)
+    for change, message in [
+        ({"vehicle_3": np.full(1, np.nan)}, "vehicle_3 is NaN"),
+        ({"vehicle_3": np.zeros(2)}, r"vehicle_3 has the shape \(2,\) instead of \(1,\)"),
+        ({"car": np.zeros(1)}, "there is no agent 'car'"),
+    ]:
+        with pytest.raises(iwol_sumo.Error, match=message):
+            intersection.step({**actions, **change})
+    del actions["vehicle_2"]
+    with pytest.raises(iwol_sumo.Error, match="vehicle_2 is live and has no action"):
+        intersection.step(actions)
+    with pytest.raises(iwol_sumo.ScenarioError, match="did you mean 'intersection'"):
+        iwol_sumo.parallel_env("intersecton")
+    with pytest.raises(iwol_sumo.ScenarioError, match="4 to 48"):
+        iwol_sumo.parallel_env("intersection", agents=49)
+    with pytest.raises(iwol_sumo.ScenarioError, match="did you mean `termination.horizon`"):
+        iwol_sumo.parallel_env("intersection", overrides={"termination.horizn": 3})
+    with pytest.raises(ValueError, match="horizon"):
+        iwol_sumo.parallel_env("intersection", overrides={"termination.horizon": -3})
+    with pytest.raises(iwol_sumo.Error, match="render_mode"):
+        iwol_sumo.parallel_env("intersection", render_mode="human")
+
+
+def test_a_copy_is_an_environment_of_its_own(intersection):
+    wanted = play(intersection, 3, 0)
+    for other in (copy.deepcopy(intersection), pickle.loads(pickle.dumps(intersection))):
+        with other:
+            assert same(play(other, 3, 0), wanted)
+
+
+def test_closing_twice_is_fine(intersection):
+    intersection.reset()
+    intersection.close()
+    intersection.close()
+    assert len(intersection.reset(seed=1)[0]) == 8
+
+
+def test_an_episode_is_drawn():
+    with iwol_sumo.parallel_env("intersection", render_mode="html") as env:
+        assert env.render() is None
+        play(env, 0, 0)
+        assert env.render().lstrip().startswith("<!doctype html>") or "<html" in env.render()
+        assert env._repr_html_().startswith("<svg")
+
+
+def test_the_aec_form_plays(intersection):
+    env = iwol_sumo.env("intersection", agents=8)
+    env.reset(seed=0)
+    for agent in env.agent_iter(100):
+        _, _, terminated, truncated, _ = env.last()
+        env.step(None if terminated or truncated else np.ones(1, np.float32))
+    env.close()
