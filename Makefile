@@ -12,7 +12,7 @@ export PATH := $(PATH):$(HOME)/.cargo/bin
 
 # One cargo at a time, whatever -j says: they would only wait for each other's lock.
 .NOTPARALLEL:
-.PHONY: help bootstrap build demo test matrix lint check-client bench
+.PHONY: help bootstrap build demo test python matrix lint check-client bench
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -29,6 +29,10 @@ demo: build ## train vehicles to cross an intersection, and compare them with SU
 test: ## run every test: unit, integration (against the real SUMO) and documentation
 	@scripts/bootstrap --tests
 	$(CARGO) test --locked --features "$(FEATURES)"
+
+python: ## build the Python package, install it into an empty virtual environment, and run its tests
+	@scripts/bootstrap --client --python
+	scripts/python-package
 
 # Releases on the Python package index are fetched once: scripts/matrix says more.
 SUMOS ?= debian 1.20.0 newest

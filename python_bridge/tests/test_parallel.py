@@ -96,7 +96,7 @@ def test_crashes_and_the_horizon_are_told_apart(intersection):
 
 
 def test_agents_of_route_files_come_and_go():
-    with iwol_sumo.parallel_env("flow_cross", overrides={"termination.horizon": 300}) as env:
+    with iwol_sumo.parallel_env("flow_cross", agents=4) as env:
         env.reset(seed=0)
         seen, gone = set(env.agents), set()
         while env.agents:
@@ -105,7 +105,8 @@ def test_agents_of_route_files_come_and_go():
             _, _, terminations, truncations, _ = env.step(full_throttle(env))
             gone |= {agent for agent in before if terminations[agent] or truncations[agent]}
             seen |= set(env.agents)
-        assert len(seen) > env._slots or len(seen) > 8, seen
+        # The four slots were used again.
+        assert len(seen) > 4
         assert env.last_episode["flow"]["departed"] == len(seen)
 
 
