@@ -32,6 +32,7 @@ test: ## run every test: unit, integration (against the real SUMO) and documenta
 
 python: ## build the Python package, install it into an empty virtual environment, and run its tests
 	@scripts/bootstrap --client --python
+	CARGO_TARGET_DIR=target/python/target $(CARGO) clippy --locked -p iwol-sumo-python -- -D warnings
 	scripts/python-package
 
 # Releases on the Python package index are fetched once: scripts/matrix says more.
@@ -43,7 +44,7 @@ matrix: ## compare trainings, the TraCI client and libsumo on several releases o
 	scripts/matrix $(SUMOS)
 
 lint: bootstrap check-client ## check formatting, clippy's lints and the documentation; a warning is an error
-	$(CARGO) fmt --check
+	$(CARGO) fmt --all --check
 	$(CARGO) clippy --locked --all-targets --features "$(FEATURES)" -- -D warnings
 	RUSTDOCFLAGS="-D warnings" $(CARGO) doc --locked --no-deps --features "$(FEATURES)"
 
