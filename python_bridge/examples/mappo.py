@@ -72,11 +72,11 @@ def main():
     for array, first in zip(rollout, env.reset()):
         array[0] = first
     actions = np.zeros((STEPS, ENVS, n, a), np.float32)
-    steps, validated, began = 0, 0, time.time()
+    steps, validated, solved, began = 0, 0, 0, time.time()
     while steps < options.steps:
         fraction = min(max(steps - EXPLORE, 0) / ANNEAL, 1.0)
         noise = NOISE * (LAST_NOISE / NOISE) ** fraction
-        rate = LEARNING_RATE * (1.0 - 0.8 * fraction)
+        rate = LEARNING_RATE * (1.0 - 0.98 * fraction)
         for group in optimiser.param_groups:
             group["lr"] = rate
         means = np.zeros_like(actions)
@@ -131,6 +131,9 @@ def main():
             metrics = iwol_sumo.evaluate(policy_of(actor), options.scenario, n, episodes=32, seed=7)["metrics"]
             success = 100 * metrics["success"]["mean"]
             print(f"{steps:8d} steps  {time.time() - began:5.0f} s  success {success:5.1f} %", flush=True)
+            solved = solved + 1 if success >= 99.5 else 0
+            if solved == 4 and fraction == 1.0:
+                break
     result = iwol_sumo.evaluate(policy_of(actor), options.scenario, n, episodes=100, seed=11)["metrics"]
     mean, low, high = (100 * result["success"][key] for key in ("mean", "low", "high"))
     print(f"success on 100 unseen episodes: {mean:.1f} [{low:.1f}, {high:.1f}] %")
