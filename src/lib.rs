@@ -37,6 +37,7 @@ pub mod inspect;
 mod markup;
 pub mod metrics;
 pub mod nn;
+pub mod onnx;
 pub mod plot;
 pub mod provenance;
 pub mod record;

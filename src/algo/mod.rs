@@ -29,6 +29,7 @@ mod mat;
 mod means;
 mod message;
 mod networks;
+pub mod onnx;
 mod parameters;
 pub mod ppo;
 mod scene;

@@ -2,12 +2,17 @@
 
 #![cfg(feature = "learn")]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use iwol_sumo::algo::onnx;
 use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Document, Layers};
+use iwol_sumo::env::{Features, Task};
+use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
 use iwol_sumo::train::RunDir;
+use serde_json::json;
 
 use super::Verdict;
 
@@ -18,30 +23,83 @@ pub(super) struct Args {
     /// Run folder, whose best checkpoint is copied, or checkpoint file.
     run: PathBuf,
     /// Folder to create.
-    #[arg(short, long, value_name = "DIR")]
-    out: PathBuf,
+    #[arg(short, long, value_name = "DIR", required_unless_present = "onnx")]
+    out: Option<PathBuf>,
+    /// Write the policy as an ONNX model, for use outside of this program.
+    #[arg(long, value_name = "FILE")]
+    onnx: Option<PathBuf>,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = Checkpoint::load(&RunDir::checkpoint(&args.run))?.weights();
-    let dir = RunDir::new(&args.out);
+    if let Some(file) = &args.onnx {
+        write_onnx(&checkpoint, &args.run, file)?;
+        tell!("{}", file.display());
+    }
+    if let Some(out) = &args.out {
+        copy(&checkpoint, &args.run, out)?;
+        tell!("{}", out.display());
+    }
+    Ok(Verdict::Good)
+}
+
+/// Writes the policy as an ONNX model. Its metadata say what the numbers of observations and actions
+/// mean.
+fn write_onnx(checkpoint: &Checkpoint, run: &Path, file: &Path) -> anyhow::Result<()> {
+    if file.exists() {
+        bail!("`{}` already exists; choose another --onnx", file.display());
+    }
+    let source = format!("{} (stored settings)", run.display());
+    let document = Document::of_run(source, checkpoint.config.clone());
+    let resolved = Layers { document, ..Layers::default() }.resolve()?;
+    let (config, scenario) = (resolved.config, resolved.scenario);
+    let task = Task::new(&scenario, config.agents)?;
+    let algorithm = &checkpoint.algorithm;
+    let graph = onnx::graph(algorithm, &task.spec, &config.learner, &checkpoint.learner);
+    let graph = graph.with_context(|| {
+        format!(
+            "{algorithm} with the encoder of this run has no ONNX model; methods that have one: {}, with network.encoder = \"mlp\"",
+            onnx::METHODS.join(", ")
+        )
+    })?;
+    let features = |features: &Features| {
+        let row = |f: &iwol_sumo::env::Feature| json!({ "name": f.name, "unit": f.unit, "low": f.low, "high": f.high });
+        features.list.iter().map(row).collect::<Vec<_>>()
+    };
+    let actions: Vec<&str> = task.spec.actions.iter().map(|action| action.name).collect();
+    let policy = json!({
+        "algorithm": algorithm,
+        "scenario": scenario.name,
+        "interval": scenario.control.interval,
+        "communication_range": scenario.communication.range,
+        "observation": features(&task.spec.observation),
+        "actions": actions.iter().map(|name| json!({ "name": name, "low": -1.0, "high": 1.0 })).collect::<Vec<_>>(),
+        "program": Program::current(),
+    });
+    let metadata = [("policy", policy.to_string())];
+    record::write_atomic(file, &graph.encode(algorithm, &metadata))?;
+    Ok(())
+}
+
+/// Copies the policy into a folder.
+fn copy(checkpoint: &Checkpoint, run: &Path, out: &Path) -> anyhow::Result<()> {
+    let dir = RunDir::new(out);
     if dir.best().exists() || dir.last().exists() {
-        bail!("`{}` already contains a checkpoint; choose another --out", args.out.display());
+        bail!("`{}` already contains a checkpoint; choose another --out", out.display());
     }
     if dir.config().exists() {
         bail!("`{}` already exists; choose another --out", dir.config().display());
     }
-    std::fs::create_dir_all(args.out.join("checkpoints"))
-        .with_context(|| format!("cannot create the folder `{}`", args.out.display()))?;
+    std::fs::create_dir_all(out.join("checkpoints"))
+        .with_context(|| format!("cannot create the folder `{}`", out.display()))?;
     record::write_atomic(&dir.config(), checkpoint.config.as_bytes())?;
     // The record of what the policy was trained with is copied along with the policy.
-    let meta = RunDir::of(&args.run).map(|run| run.meta()).filter(|meta| meta.is_file());
+    let meta = RunDir::of(run).map(|run| run.meta()).filter(|meta| meta.is_file());
     if let Some(meta) = meta {
         let bytes =
             std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
         record::write_atomic(&dir.meta(), &bytes)?;
     }
     checkpoint.save(&dir.best())?;
-    tell!("{}", args.out.display());
-    Ok(Verdict::Good)
+    Ok(())
 }

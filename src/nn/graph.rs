@@ -23,7 +23,7 @@ pub struct CommGraph {
 
 /// Slope of the leaky rectifier for negative scores (Veličković et al. 2018; the released code of
 /// IWoL has 1.2 in its driving tasks).
-const SLOPE: f32 = 0.2;
+pub const SLOPE: f32 = 0.2;
 
 impl CommGraph {
     /// Creates a graph over features of width `inputs`, with its own trunk of width `hidden`.

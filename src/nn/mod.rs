@@ -37,7 +37,7 @@ pub use decoder::{Attention, Decoded, Reach, RelationBlock, TransformerDecoder};
 pub use distributions::{gaussian_entropy, gaussian_log_prob};
 pub use entity::{Entity, TokenGroup};
 pub use error::Error;
-pub use graph::CommGraph;
+pub use graph::{CommGraph, SLOPE};
 pub use gru::Gru;
 pub use init::Init;
 pub use linear::Linear;

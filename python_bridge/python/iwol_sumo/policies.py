@@ -238,7 +238,9 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         Error: if the file cannot be read, or its method or encoder is none of those that this module has.
     """
     tensors, metadata = read_checkpoint(path)
-    prefix = "learner/actor/"
+    # A run's checkpoint has the averaged weights, which act in evaluations, beside those that are trained.
+    average = any(name.startswith("learner/actor_average/") for name in tensors)
+    prefix = "learner/actor_average/" if average else "learner/actor/"
     # Decoders that only training needs.
     left_out = ("world.", "interaction.")
     names = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

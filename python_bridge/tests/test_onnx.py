@@ -1,0 +1,68 @@
+"""Policies as ONNX models."""
+
+import json
+import subprocess
+from pathlib import Path
+from shutil import which
+
+import numpy as np
+import pytest
+
+import iwol_sumo
+
+pytest.importorskip("onnxruntime")
+from iwol_sumo.onnx import OnnxPolicy  # noqa: E402
+
+ROOT = Path(__file__).parents[2]
+pytestmark = pytest.mark.skipif(which("iwol") is None, reason="the program iwol is not on PATH")
+
+
+def iwol(*arguments):
+    return subprocess.run(["iwol", *map(str, arguments)], capture_output=True, text=True, cwd=ROOT)
+
+
+@pytest.fixture(params=["mappo-8", "im-iwol-8", "ex-iwol-8"])
+def exported(request, tmp_path):
+    file = tmp_path / "policy.onnx"
+    out = iwol("export", ROOT / "policies" / request.param, "--onnx", file)
+    assert out.returncode == 0, out.stderr
+    return ROOT / "policies" / request.param, file
+
+
+def test_a_model_plays_the_same_episodes_as_the_program(exported):
+    folder, file = exported
+    out = iwol("evaluate", folder, "--episodes", 20, "--seed", 3, "--json")
+    wanted = json.loads(out.stdout)["metrics"]
+    found = iwol_sumo.evaluate(OnnxPolicy(file), "intersection", 8, episodes=20, seed=3)["metrics"]
+    for metric in ("success", "reward", "episode_length"):
+        assert found[metric]["mean"] == pytest.approx(wanted[metric]["mean"], rel=1e-4), metric
+
+
+def test_a_model_says_what_its_numbers_mean(exported):
+    _, file = exported
+    policy = OnnxPolicy(file)
+    with iwol_sumo.parallel_env("intersection", 8) as env:
+        assert [row["name"] for row in policy.description["observation"]] == [f.name for f in env.features]
+        assert [row["name"] for row in policy.description["actions"]] == env.actions
+    assert policy.description["interval"] == 0.1
+
+
+def test_a_model_decides_as_pytorch(exported):
+    pytest.importorskip("torch")
+    from iwol_sumo.policies import load_policy
+
+    folder, file = exported
+    rng = np.random.default_rng(0)
+    observation = rng.uniform(-1, 1, (1000, 8, 67)).astype(np.float32)
+    near = rng.random((1000, 8, 8)) < 0.5
+    comm = (near | near.transpose(0, 2, 1) | np.eye(8, dtype=bool)).astype(np.float32)
+    difference = np.abs(OnnxPolicy(file)(observation, comm) - load_policy(folder)(observation, comm))
+    # A score within rounding of the limit may open an edge in one and close it in the other.
+    assert np.quantile(difference, 0.999) < 1e-5 and (difference > 1e-4).mean() < 1e-3
+
+
+def test_what_has_no_model_is_refused(tmp_path):
+    file = tmp_path / "policy.onnx"
+    assert iwol("export", ROOT / "policies/mappo-8", "--onnx", file).returncode == 0
+    again = iwol("export", ROOT / "policies/mappo-8", "--onnx", file)
+    assert again.returncode == 2 and "already exists" in again.stderr
