@@ -158,3 +158,34 @@ fn a_trial_says_when_there_is_little_to_coordinate() {
         "{found:?}"
     );
 }
+
+/// Background vehicles at spawn places drive the agents' routes, so that a type of another class must
+/// be allowed there.
+#[test]
+fn types_at_spawn_places_are_judged_by_their_class() {
+    let folder = folder();
+    let traffic = |kind: &str| {
+        let file = folder.path().join("scenarios/site.xml");
+        let _ = fs::remove_file(&file);
+        let _ = fs::remove_dir_all(folder.path().join("sumo_nets"));
+        let traffic = format!(
+            "<traffic penetration=\"0.5\" type=\"{kind}\" files=\"types.xml\"/>\n</scenario>"
+        );
+        changed(folder.path(), &[("</scenario>", &traffic)])
+    };
+    let types = "<routes><vType id=\"lorry\" vClass=\"truck\"/><vType id=\"tram\" vClass=\"tram\"/></routes>";
+    fs::create_dir_all(folder.path().join("scenarios")).unwrap();
+    fs::write(folder.path().join("scenarios/types.xml"), types).unwrap();
+    let wrong = |file: &Path| {
+        let list = Scenario::check(file).list;
+        errors(&list).iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(wrong(&traffic("lorry")), Vec::<String>::new());
+    let net = folder.path().join("sumo_nets/site/site.typ.xml");
+    let file = traffic("lorry");
+    let text = fs::read_to_string(&net).unwrap();
+    fs::write(&net, text.replace("<type id=", "<type disallow=\"truck\" id=")).unwrap();
+    build(&file, true).unwrap();
+    let [error] = &wrong(&file)[..] else { panic!("{:?}", wrong(&file)) };
+    assert!(error.contains("`lorry` is not a valid type of <traffic>"), "{error}");
+}
