@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use anyhow::{Context as _, bail};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::record;
+use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::RunDir;
 
 use super::Verdict;
@@ -40,6 +41,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let bytes =
             std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
         record::write_atomic(&dir.meta(), &bytes)?;
+    }
+    // So is the scenario, whose paths are relative to its folder.
+    let scenario = RunDir::of(&args.run).map(|run| run.scenario()).filter(|file| file.is_file());
+    if let Some(file) = scenario {
+        let text = Scenario::read(&file)?.to_xml_in(&args.out).with_context(|| {
+            format!("cannot find the net or the route files of `{}`", file.display())
+        })?;
+        record::write_atomic(&dir.scenario(), text.as_bytes())?;
     }
     checkpoint.save(&dir.best())?;
     tell!("{}", args.out.display());
