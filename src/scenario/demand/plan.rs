@@ -35,7 +35,7 @@ pub struct DemandPlan {
 impl DemandPlan {
     /// Returns a line about what is left out, and what to do; `None` if nothing is.
     pub fn warning(&self) -> Option<(String, &'static str)> {
-        left_out::warning(&self.left_out, self.wanted)
+        left_out::warning(&self.left_out, self.wanted, "left out")
     }
 }
 
