@@ -9,7 +9,9 @@ use roxmltree::Node;
 
 use super::super::demand::{self, seconds};
 use super::super::reader::{Reader, document, text};
-use super::super::{AgentRange, Demand, DemandPlan, FileTime, Scenario, Traffic};
+use super::super::{
+    AgentRange, Demand, DemandPlan, FileTime, Jitter, ObservationGroups, Scenario, Traffic,
+};
 use super::files::{Layout, Site, Steers};
 use super::import::{SPEED, in_utf8};
 use super::{Error, Imported};
@@ -155,7 +157,10 @@ fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result
     let mut copies = Copies { files: Vec::new(), programs: Vec::new() };
     let mut empty = Vec::new();
     for (number, path) in files.iter().enumerate() {
-        let text = demand::text(path)?;
+        let text = demand::text(path).map_err(|error| match error {
+            super::super::Error::Read { path, source } => Error::Read { path, source },
+            error => error.into(),
+        })?;
         let document = document(&text, path)?;
         let mut elements = document.root_element().children().filter(Node::is_element);
         let programs = elements.clone().filter(|node| node.has_tag_name("tlLogic"));
@@ -238,8 +243,10 @@ fn draft(
         capacity: most.clamp(16, 1000),
         ..Traffic::default()
     };
+    scenario.jitter = Jitter::default();
     scenario.control.interval = step;
     scenario.termination.horizon = (duration / step).round().clamp(1.0, 1e6) as u32;
+    scenario.observation.groups = ObservationGroups::Both;
     scenario.observation.conflict_streams = STREAMS;
     scenario.observation.stream_vehicles = 2;
     scenario.communication.range = scenario.observation.detection_range;
