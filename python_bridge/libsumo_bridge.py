@@ -79,9 +79,9 @@ def close():
 def carry_out(runs):
     """Carries out `runs`, a list of (call, [objects, columns…]), and passes over refused calls.
 
-    Returns the first refusal as (index of the call, text) or None, and the vehicles and persons that were not added.
+    Returns the refusals as (index of the call, text), and the vehicles and persons that were not added.
     """
-    refusal = None
+    refusals = []
     unknown = set()
     start = 0
     for call, (names, *columns) in runs:
@@ -93,12 +93,11 @@ def carry_out(runs):
                 break
             except Refused as refused:
                 index = len(names) - length_hint(rest) - 1
-                if refusal is None:
-                    refusal = start + index, str(refused)
+                refusals.append((start + index, str(refused)))
                 if call in ("vehicle.add", "person.add"):
                     unknown.add(names[index])
         start += len(names)
-    return refusal, unknown
+    return refusals, unknown
 
 
 def is_unknown(vehicle):
@@ -114,11 +113,11 @@ def step(runs, vehicles, others, persons):
 
     Returns the time, the vehicles and persons that arrived or were refused and the vehicles that libsumo dropped when
     they were to enter the road, the distances and speeds of the other
-    `vehicles` in their order, the pairs of colliding vehicles, the first refusal, if there are `others` that SUMO
+    `vehicles` in their order, the pairs of colliding vehicles, the refusals, if there are `others` that SUMO
     drives, positions, angles, lanes and time losses of the vehicles, and position, angle and speed of each of the `persons`,
     or None where there is none of that name.
     """
-    refusal, unknown = carry_out(runs)
+    refusals, unknown = carry_out(runs)
     take_step(0.0)
     unknown.update(arrived_ids())
     if unknown:
@@ -145,4 +144,4 @@ def step(runs, vehicles, others, persons):
             else None
             for name in persons
         ]
-    return time_now(), [list(unknown), dropped], distances, speeds, collisions, refusal, bodies, walkers
+    return time_now(), [list(unknown), dropped], distances, speeds, collisions, refusals, bodies, walkers

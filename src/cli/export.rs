@@ -11,6 +11,7 @@ use iwol_sumo::config::{Document, Layers};
 use iwol_sumo::env::{Features, Task};
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
+use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::RunDir;
 use serde_json::json;
 
@@ -99,6 +100,14 @@ fn copy(checkpoint: &Checkpoint, run: &Path, out: &Path) -> anyhow::Result<()> {
         let bytes =
             std::fs::read(&meta).with_context(|| format!("cannot read `{}`", meta.display()))?;
         record::write_atomic(&dir.meta(), &bytes)?;
+    }
+    // So is the scenario, whose paths are relative to its folder.
+    let scenario = RunDir::of(&args.run).map(|run| run.scenario()).filter(|file| file.is_file());
+    if let Some(file) = scenario {
+        let text = Scenario::read(&file)?.to_xml_in(&args.out).with_context(|| {
+            format!("cannot find the net or the route files of `{}`", file.display())
+        })?;
+        record::write_atomic(&dir.scenario(), text.as_bytes())?;
     }
     checkpoint.save(&dir.best())?;
     Ok(())

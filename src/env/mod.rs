@@ -13,9 +13,9 @@ mod spec;
 
 pub use driving::{
     AgentView, Audit, BackgroundMetrics, Conflict, Driver, EpisodeRecord, Error, Failures,
-    FlowMetrics, Frame, MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Position, Resets,
-    RouteGeometry, RoutePosition, Size, Task, VecEnv, VecOptions, World, WorldState, acceleration,
-    advance, boxes_overlap, physical_mask,
+    FlowMetrics, Frame, MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Position, Refused,
+    Resets, RouteGeometry, RoutePosition, Size, Task, VecEnv, VecOptions, World, WorldState,
+    acceleration, advance, boxes_overlap, physical_mask,
 };
 pub use expert::Pursuit;
 pub use spec::{ActionDimension, EnvSpec, Feature, Features, Group};

@@ -7,9 +7,9 @@ use std::time::Instant;
 use rand::RngExt as _;
 use serde::Serialize;
 
-use crate::env::{Driver, Error, Features, RouteGeometry, Task, VecEnv, VecOptions};
+use crate::env::{Driver, Error, Features, Refused, RouteGeometry, Task, VecEnv, VecOptions};
 use crate::rng::{Seed, symmetric};
-use crate::scenario::{Finding, Scenario, Severity};
+use crate::scenario::{Finding, LeftOut, Scenario, Severity};
 use crate::sumo::Hosting;
 use crate::words::counted;
 
@@ -145,7 +145,9 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Returns an error for each vehicle and person of the route files whom SUMO refuses.
+    /// Returns a warning about the vehicles and persons of the route files whom SUMO refuses, and one
+    /// about those of whom it refuses a stop; with [`Traffic::strict`](crate::scenario::Traffic), an
+    /// error for each of them.
     ///
     /// # Errors
     /// [`Error`] if the scenario does not support this number of agents, or SUMO fails.
@@ -154,8 +156,15 @@ impl Trial {
         agents: u32,
         hosting: &Hosting,
     ) -> Result<Vec<Finding>, Error> {
-        let refused = Task::new(scenario, agents)?.refused_departures(hosting)?;
-        Ok(refused.iter().map(|out| Finding::of(&out.error(), &out.place.path)).collect())
+        let task = Task::new(scenario, agents)?;
+        let Refused { vehicles, stops, of } = task.refused_departures(hosting)?;
+        if scenario.traffic.strict {
+            let all = vehicles.iter().chain(&stops);
+            return Ok(all.map(|out| Finding::of(&out.error(), &out.place.path)).collect());
+        }
+        let left_out = LeftOut::finding(&vehicles, of, "left out");
+        let without = LeftOut::finding(&stops, of, "drive on without a stop");
+        Ok(left_out.into_iter().chain(without).collect())
     }
 
     /// Returns the errors and warnings that follow from the trial.

@@ -57,7 +57,7 @@ pub struct Recording {
     pub comm_range: Option<f64>,
     /// Whether agents send messages at run time. If not, the edges show which agents are in range.
     pub communicates: bool,
-    /// Size of every agent's vehicle.
+    /// Size of every agent's vehicle, unless the columns `length` and `width` give each its own.
     pub vehicle: Size,
     /// The lanes of the net.
     pub lanes: Vec<Lane>,
@@ -194,6 +194,21 @@ impl Recording {
         let (before, after) =
             PLAYER.split_once(HOLE).expect("the player has a place for the recording");
         format!("{before}{json}{after}")
+    }
+
+    /// Returns the sizes of the agents' vehicles at a step.
+    fn sizes(&self, step: usize) -> Vec<Size> {
+        let column = |key: &str| self.columns.get(key)?.values();
+        let (lengths, widths) = (column("length"), column("width"));
+        let first = step * self.agents;
+        let of = |column: &Option<Vec<f64>>, i: usize, usual: f64| {
+            column.as_ref().map_or(usual, |values| values[first + i])
+        };
+        let size = |i: usize| Size {
+            length: of(&lengths, i, self.vehicle.length),
+            width: of(&widths, i, self.vehicle.width),
+        };
+        (0..self.agents).map(size).collect()
     }
 
     /// Returns status and pose `[x, y, heading]` of every agent at a step.

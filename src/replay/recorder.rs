@@ -39,6 +39,7 @@ struct Rows {
     y: Vec<f64>,
     heading: Vec<f64>,
     speed: Vec<f64>,
+    sizes: [Vec<f64>; 2],
     action: Vec<Vec<f64>>,
     reward: Vec<f64>,
     value: Vec<f64>,
@@ -94,6 +95,7 @@ impl Recorder {
             // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
             let (sin, cos) = agent.pose.heading.sin_cos();
             rows.heading.push(sin.atan2(cos));
+            rows.sizes.iter_mut().zip(agent.size).for_each(|(column, size)| column.push(size));
             let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
             rows.speed.push(if_driving(agent.speed));
             for (a, column) in rows.action.iter_mut().enumerate() {
@@ -198,6 +200,15 @@ impl Recorder {
             ("speed".to_owned(), Column::new("m/s", &self.rows.speed)),
             ("reward".to_owned(), Column::new("1", &self.rows.reward)),
         ]);
+        let vehicle = task.scenario.vehicle;
+        let sizes = [("length", vehicle.length), ("width", vehicle.width)];
+        for ((name, usual), column) in sizes.into_iter().zip(&self.rows.sizes) {
+            let present = column.iter().zip(&self.rows.status);
+            let mut present = present.filter(|(_, status)| **status != Status::Gone as u8);
+            if present.any(|(size, _)| (size - usual).abs() > 1e-9) {
+                columns.insert(name.to_owned(), Column::new("m", column));
+            }
+        }
         for (a, action) in self.rows.action.iter().enumerate() {
             let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
             columns.insert(name, Column::new("1", action));

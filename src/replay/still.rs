@@ -96,6 +96,7 @@ impl Recording {
                 "<circle cx=\"{x:.2}\" cy=\"{y:.2}\" r=\"{PERSON}\" fill=\"{color}\" stroke=\"#fff\" stroke-width=\".2\"/>"
             );
         }
+        let sizes = self.sizes(step);
         for (number, (status, [x, y, heading])) in vehicles.iter().enumerate() {
             let color = match status {
                 Status::Driving => DRIVING,
@@ -103,7 +104,7 @@ impl Recording {
                 Status::Crashed => CRASHED,
                 Status::Gone => continue,
             };
-            let (l, w) = (self.vehicle.length, self.vehicle.width);
+            let (l, w) = (sizes[number].length, sizes[number].width);
             let _ = writeln!(
                 svg,
                 "<g transform=\"translate({x:.2} {y:.2})\"><g transform=\"rotate({:.1})\">\
@@ -136,6 +137,19 @@ fn cross(length: f64, width: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::super::tests::recording;
+
+    /// Agents from route files have the sizes of their types.
+    #[test]
+    fn vehicles_are_drawn_with_their_own_sizes() {
+        let mut recording = recording();
+        let svg = recording.still(0);
+        assert_eq!(svg.matches("width=\"4.50\" height=\"1.80\"").count(), 2);
+        let column = super::super::Column::new("m", &[12.0, 4.5, 12.0, 4.5]);
+        recording.columns.insert("length".to_owned(), column);
+        let svg = recording.still(0);
+        assert_eq!(svg.matches("width=\"12.00\" height=\"1.80\"").count(), 1);
+        assert_eq!(svg.matches("width=\"4.50\" height=\"1.80\"").count(), 1);
+    }
 
     #[test]
     fn a_still_shows_those_who_are_there() {

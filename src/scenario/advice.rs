@@ -1,12 +1,14 @@
 //! Warnings about settings of a scenario that are allowed but probably not intended: one function
 //! per rule.
 
+mod driver;
+
 use std::collections::BTreeSet;
 
 use super::author::{State, state};
 use super::check::{Map, net_nodes};
 use super::reader::Reader;
-use super::{Demand, Finding, Net, Scenario, Severity, describe};
+use super::{Demand, Finding, LeftOut, Net, Scenario, Severity, describe};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
@@ -30,6 +32,8 @@ pub(super) fn advise(
     for (net, map) in &sound {
         adviser.junctions(net, map, &mut findings);
         adviser.internal_lanes(net, map, &mut findings);
+        adviser.zippers(net, map, &mut findings);
+        findings.extend(adviser.stretched(net, map));
         adviser.limits(net, map, &mut findings);
     }
     for net in &scenario.nets {
@@ -422,8 +426,7 @@ impl Adviser<'_, '_, '_> {
 fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
     let plans = maps.iter().map(|(_, map)| &map.plan);
     let plan = plans.max_by_key(|plan| plan.left_out.len())?;
-    let (message, hint) = plan.warning()?;
-    Some(Finding::warning("left-out", plan.left_out[0].place.clone(), message, hint))
+    LeftOut::finding(&plan.left_out, plan.wanted, "left out")
 }
 
 /// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO

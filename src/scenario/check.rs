@@ -61,6 +61,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         errors.extend(no_edge(scenario, &map, reader));
         let placed = spawns(scenario, net, &map, &paths, node, reader);
         let placed = placed.and_then(|()| lanes(scenario, &map, &paths, reader));
+        let placed = placed.and_then(|()| classes(scenario, &demand, net, &map, reader));
         placed.map_err(|error| errors.push(error)).ok()?;
         let plan = plan.ok()?;
         let mut of_files = Vec::new();
@@ -71,7 +72,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
                 .map(|departure| departure.route)
                 .collect();
             if driven.is_empty() && net.capacity() == 0 && !demand.sources.is_empty() {
-                errors.push(no_agent(scenario, reader));
+                errors.push(no_agent(scenario, &plan, reader));
                 return None;
             }
             for route in driven {
@@ -157,9 +158,12 @@ fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), E
 }
 
 /// Returns the error of a scenario without spawn places in which no agent ever departs.
-fn no_agent(scenario: &Scenario, reader: &Reader) -> Error {
+fn no_agent(scenario: &Scenario, plan: &DemandPlan, reader: &Reader) -> Error {
     let (key, named) = named(scenario);
-    let allowed = "vehicles that can be used and depart within an episode";
+    let mut allowed = "vehicles that can be used and depart within an episode".to_owned();
+    if let Some((left_out, _)) = plan.warning() {
+        allowed += &format!(" ({left_out})");
+    }
     Error::value(reader.place_in("agents", key), "agents", key, &named, allowed)
 }
 
@@ -282,6 +286,32 @@ fn spawns(
             "the spawn places at {first} m and {second} m of lane `{lane}` overlap: vehicle and jitter need {needed} m"
         ),
     ))
+}
+
+/// Checks that the background vehicles at spawn places may drive the routes that begin there.
+fn classes(
+    scenario: &Scenario,
+    demand: &Demand,
+    net: &Net,
+    map: &net::Net,
+    reader: &Reader,
+) -> Result<(), Error> {
+    let Some(kind) = scenario.traffic.kind.as_ref().filter(|_| scenario.traffic.penetration < 1.0)
+    else {
+        return Ok(());
+    };
+    let mix = demand.mix(kind).unwrap_or_default();
+    let classes: BTreeSet<&str> = mix.iter().map(|entry| demand.types[entry.0].class).collect();
+    let classes: Vec<&str> = classes.into_iter().collect();
+    let routes = net.spawns.iter().flat_map(|row| row.routes.iter());
+    for route in routes.map(|&route| &scenario.routes[route]) {
+        map.route_path_for(&route.edges, route.lane, &classes).map_err(|error| {
+            let (id, why) = (shorten(&route.id), error.problem);
+            let allowed = format!("a type whose vehicles can drive the route `{id}`: {why}");
+            Error::value(reader.place_in("traffic", "type"), "traffic", "type", kind, allowed)
+        })?;
+    }
+    Ok(())
 }
 
 /// Checks that the jitter does not move a vehicle beyond the sides of its lane.

@@ -267,25 +267,59 @@ impl Fleet {
                 slot.entry = Entry::Done;
             }
             if slot.entry == Entry::Awaited {
-                self.drop_out(vehicle);
+                self.drop_out(vehicle, None);
             }
         }
+    }
+
+    /// Records what SUMO has refused of a departure: the vehicle, or one of its stops. Returns any
+    /// other error, with the vehicle's own name.
+    pub(super) fn refuse(&mut self, error: Error) -> Option<Error> {
+        let Error::Refused { call, id, message, .. } = &error else { return Some(error) };
+        let vehicle = self.vehicle_named(id);
+        let is_new = matches!(call.as_str(), "vehicle.add" | "person.add");
+        match vehicle.filter(|&vehicle| self.slots[vehicle].departure.is_some()) {
+            Some(vehicle) if is_new => self.drop_out(vehicle, Some(message.clone())),
+            Some(vehicle) if call == "vehicle.setStop" && self.slots[vehicle].known => {
+                self.report_drop(vehicle, Some(message.clone()), true);
+            }
+            // What else is said to a vehicle that SUMO has just refused.
+            Some(vehicle) if self.is_dropped(vehicle) => {}
+            _ => {
+                if is_new {
+                    let id = id.clone();
+                    self.gone(&id);
+                }
+                return Some(self.named(error));
+            }
+        }
+        None
+    }
+
+    fn is_dropped(&self, vehicle: usize) -> bool {
+        let place = (vehicle as u32 / self.config.slots, vehicle as u32 % self.config.slots);
+        self.snapshot.dropped.iter().any(|d| !d.drives && (d.world, d.slot) == place)
     }
 
     /// Records that SUMO has dropped the vehicle of this name.
     #[cfg(feature = "libsumo")]
     pub(super) fn dropped(&mut self, name: &str) {
         if let Some(vehicle) = self.vehicle_named(name) {
-            self.drop_out(vehicle);
+            self.drop_out(vehicle, None);
         }
     }
 
-    fn drop_out(&mut self, vehicle: usize) {
-        let (slot, slots) = (&mut self.slots[vehicle], self.config.slots);
+    fn drop_out(&mut self, vehicle: usize, reason: Option<String>) {
+        let slot = &mut self.slots[vehicle];
         (slot.known, slot.entry) = (false, Entry::Done);
-        if let Some(departure) = slot.departure {
+        self.report_drop(vehicle, reason, false);
+    }
+
+    fn report_drop(&mut self, vehicle: usize, reason: Option<String>, drives: bool) {
+        if let Some(departure) = self.slots[vehicle].departure {
+            let slots = self.config.slots;
             let (world, slot) = (vehicle as u32 / slots, vehicle as u32 % slots);
-            self.snapshot.dropped.push(Dropped { world, slot, departure });
+            self.snapshot.dropped.push(Dropped { world, slot, departure, reason, drives });
         }
     }
 

@@ -21,7 +21,7 @@ use super::{
 pub use module::LibsumoModule;
 
 /// Index of the first refused call, and SUMO's reason.
-type Refusal = Option<(usize, String)>;
+type Refusals = Vec<(usize, String)>;
 
 static OCCUPIED: AtomicBool = AtomicBool::new(false);
 
@@ -114,10 +114,10 @@ impl LibsumoSimulation {
         self.fleet.define(&mut self.batch);
         let runs = self.runs(py)?;
         let carried_out = self.module.bind(py).call_method1("carry_out", (runs,));
-        let (refusal, _): (Refusal, Py<PyAny>) = carried_out
+        let (refusals, _): (Refusals, Py<PyAny>) = carried_out
             .and_then(|outcome| outcome.extract())
             .map_err(|e| failed("introduce vehicle types and routes", py, &e))?;
-        self.check(refusal)
+        self.check(refusals)
     }
 
     fn runs<'py>(&self, py: Python<'py>) -> Result<Bound<'py, PyList>, Error> {
@@ -128,11 +128,14 @@ impl LibsumoSimulation {
         runs(py, &self.batch, name).map_err(|e| failed("list the commands", py, &e))
     }
 
-    /// Returns the error for a refusal.
-    fn check(&self, refusal: Refusal) -> Result<(), Error> {
-        refusal.map_or(Ok(()), |(index, message)| {
-            Err(self.fleet.named(self.batch.refusal(index, &message)))
-        })
+    /// Records what SUMO has refused of departures; returns the first other error.
+    fn check(&mut self, refusals: Refusals) -> Result<(), Error> {
+        let mut first = None;
+        for (index, message) in refusals {
+            let error = self.fleet.refuse(self.batch.refusal(index, &message));
+            first = first.or(error);
+        }
+        first.map_or(Ok(()), Err)
     }
 
     /// Sends the commands, takes one step and records the results, all in one call across the
@@ -142,7 +145,7 @@ impl LibsumoSimulation {
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
         type Collisions = Vec<(String, String)>;
         type Absent = [Vec<String>; 2];
-        type Reply = (f64, Absent, Vec<f64>, Vec<f64>, Collisions, Refusal, Bodies, Pedestrians);
+        type Reply = (f64, Absent, Vec<f64>, Vec<f64>, Collisions, Refusals, Bodies, Pedestrians);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let others = self.fleet.config().others.is_some();
         let asked = (self.runs(py)?, &self.asked_names, others, &self.asked_on_foot);
@@ -153,7 +156,7 @@ impl LibsumoSimulation {
             distances,
             speeds,
             collisions,
-            refusal,
+            refusals,
             (positions, angles, lanes, losses),
             pedestrians,
         ) = reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
@@ -186,7 +189,7 @@ impl LibsumoSimulation {
         for (collider, victim) in &collisions {
             self.fleet.collision(collider, victim);
         }
-        self.check(refusal)
+        self.check(refusals)
     }
 
     /// Updates the lists of vehicles and pedestrians to read to those that SUMO knows after the

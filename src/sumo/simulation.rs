@@ -325,16 +325,20 @@ pub struct Collision {
     pub victim: u32,
 }
 
-/// A background vehicle that SUMO has added and then discarded when it was to enter the road, for
-/// example because it could not depart at its speed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+/// A departure of a vehicle that SUMO has refused, or has discarded when the vehicle was to enter the
+/// road, for example because it could not depart at its speed; or one of whose stops SUMO has refused.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Dropped {
     /// World number.
     pub world: u32,
-    /// Slot of the vehicle, which is empty now.
+    /// Slot of the vehicle, which is empty now unless the vehicle drives.
     pub slot: u32,
     /// Index into [`BackgroundTraffic::departures`].
     pub departure: u32,
+    /// SUMO's reason, if it gives one.
+    pub reason: Option<String>,
+    /// Whether the vehicle drives, without one of its stops.
+    pub drives: bool,
 }
 
 /// The result of one step. Its buffers are reused from step to step.
@@ -350,7 +354,7 @@ pub struct Snapshot {
     pub bodies: Vec<Option<Body>>,
     /// Collisions that SUMO reports for this step. A lasting overlap is reported in each step.
     pub collisions: Vec<Collision>,
-    /// Background vehicles that SUMO discarded in this step instead of letting them depart.
+    /// Departures that SUMO refused or discarded in this step, at least in part.
     pub dropped: Vec<Dropped>,
 }
 

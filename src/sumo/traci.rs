@@ -165,13 +165,8 @@ impl Simulation for TraciSimulation {
         self.client.set_time(self.fleet.snapshot.time);
         let mut first = None;
         for (index, message) in refused {
-            let error = self.batch.refusal(index, &message);
-            if let Error::Refused { call, id, .. } = &error
-                && ["vehicle.add", "person.add"].contains(&call.as_str())
-            {
-                self.fleet.gone(id);
-            }
-            first.get_or_insert(self.fleet.named(error));
+            let error = self.fleet.refuse(self.batch.refusal(index, &message));
+            first = first.or(error);
         }
         self.fleet.find_dropped();
         first.map_or(Ok(&self.fleet.snapshot), Err)

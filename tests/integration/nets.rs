@@ -87,7 +87,7 @@ fn routes_are_judged_by_the_class_of_who_drives() {
     let net = crossing(folder.path(), "perm", [1, 1], "", links, &[]);
     let (imported, scenario) = imported(folder.path(), "perm", &net, &CHOICES);
     assert!(scenario.routes.iter().all(|route| route.edges != ["wi", "no"]));
-    assert_eq!(imported.notes, ["left out: 1 connections closed to cars (wi_0 to no_0)"]);
+    assert_eq!(imported.notes, ["left out: 1 connection closed to cars (wi_0 to no_0)"]);
     trial(&scenario, 50);
     // A bus may take the connection, and a car of a route file may not.
     for (class, right) in [("bus", true), ("passenger", false)] {

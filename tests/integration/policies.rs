@@ -6,6 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 use iwol_sumo::algo::{self, Capabilities};
+use iwol_sumo::scenario::Scenario;
 use serde_json::Value;
 
 use crate::support::{self, folder, iwol, succeeds};
@@ -54,6 +55,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             fs::metadata(path).expect("a checkpoint").len()
         };
         assert!(size(&small) < size(&name(&run)) / 2);
+        // The copy of the scenario finds its net from the new folder.
+        Scenario::load(&Path::new(&small).join("scenario.xml")).expect("the scenario of the run");
 
         // The copy gives the same results as the run, and controls other numbers of vehicles.
         let evaluate = |run: &str, agents: &str| -> Value {

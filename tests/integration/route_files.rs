@@ -139,6 +139,11 @@ fn the_check_names_those_whom_sumo_refuses() {
     let path = scenario(folder.path(), "", fast);
     let output = iwol(&["scenario", "check"]).arg(&path).output().expect("iwol runs");
     let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = "a.rou.xml:3:1: warning: 1 of 1 vehicles, persons and flows of the route files left out: the trip `fast` (line 3: SUMO drops it";
+    assert!(output.status.success() && said.contains(line), "{said}");
+    let strict = scenario(folder.path(), "strict=\"true\"", fast);
+    let output = iwol(&["scenario", "check"]).arg(&strict).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("a.rou.xml:3:1: error: the trip `fast` cannot be used: SUMO"), "{said}");
 }
@@ -163,4 +168,90 @@ fn a_dropped_vehicle_leaves_its_slot() {
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
     let times = said.matches("SUMO drops the trip fast (a.rou.xml:3)").count();
     assert!(output.status.success() && times == 1, "{said}");
+}
+
+/// A stop that SUMO refuses at run time, here on a lane that is closed to the vehicle, costs the stop
+/// and neither the vehicle nor the run.
+#[test]
+fn a_vehicle_drives_on_without_a_stop_that_sumo_refuses() {
+    let folder = folder();
+    let net = root().join("sumo_nets/intersection_turns/two_lanes.net.xml");
+    let net = fs::read_to_string(net).expect("a net");
+    let (before, after) = net.split_once("<lane id=\"east_in_1\"").expect("a lane");
+    let closed = format!("{before}<lane disallow=\"truck\" id=\"east_in_1\"{after}");
+    fs::write(folder.path().join("a.net.xml"), closed).expect("a file");
+    let lorry = "\n<vehicle id=\"v\" type=\"lorry\" depart=\"0\"><route edges=\"east_in west_out\"/>\
+                 <stop lane=\"east_in_1\" endPos=\"40\" duration=\"300\"/></vehicle>\
+                 <trip id=\"a\" depart=\"0\" from=\"west_in\" to=\"east_out\"/>";
+    let path =
+        scenario(folder.path(), "", &format!("<vType id=\"lorry\" vClass=\"truck\"/>{lorry}"));
+    let text = fs::read_to_string(&path).expect("the scenario");
+    let (head, rest) = text.split_once("<agents ").expect("agents");
+    let (_, tail) = rest.split_once("</nets>").expect("nets");
+    let agents = "<agents min=\"1\" max=\"4\" default=\"4\" vehicles=\"a\"/><nets><net file=\"a.net.xml\"/></nets>";
+    fs::write(&path, format!("{head}{agents}{tail}")).expect("a file");
+    let mut backends = vec![Backend::Traci, Backend::Libsumo];
+    backends.retain(|backend| iwol_sumo::sumo::usable(*backend).is_ok());
+    let mut all = backends.into_iter().map(|backend| watch(&path, 60, backend));
+    let seen = all.next().expect("over TraCI");
+    assert!(all.all(|other| other == seen), "the backends have the same bits");
+    assert!(seen[30..].iter().flatten().any(|other| other.speed > 2.0), "it drives: {seen:?}");
+    let output = iwol(&["scenario", "check"]).arg(&path).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let line = "1 of 2 vehicles, persons and flows of the route files drive on without a stop: the vehicle `v` (line 3: SUMO refuses its stop";
+    assert!(output.status.success() && said.contains(line), "{said}");
+    let evaluate =
+        ["evaluate", "--policy", "throttle:-1", "--episodes", "3", "--agents", "4", "--scenario"];
+    let output = iwol(&evaluate).arg(&path).output().expect("iwol runs");
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let times = said.matches("SUMO refuses a stop of the vehicle v (a.rou.xml:3)").count();
+    assert!(output.status.success() && times == 1, "{said}");
+}
+
+/// At a small capacity, vehicles that have waited longer depart first, wherever they stand in the file.
+#[test]
+fn no_flow_starves_at_a_small_capacity() {
+    let folder = folder();
+    let path = scenario(
+        folder.path(),
+        "capacity=\"1\"",
+        "<flow id=\"a\" period=\"0.5\" departEdge=\"1\"><route edges=\"east_in west_out\"/></flow>\
+         <flow id=\"b\" begin=\"1\" period=\"1\" departEdge=\"1\"><route edges=\"north_in south_out\"/></flow>",
+    );
+    let seen = watch(&path, 500, Backend::Traci);
+    let routes: std::collections::BTreeSet<usize> =
+        seen.iter().flatten().map(|other| other.route).collect();
+    assert_eq!(routes.len(), 2, "both flows depart");
+}
+
+/// An agent whom SUMO drops leaves its slot to the next one.
+#[test]
+fn a_dropped_agent_leaves_its_slot() {
+    let folder = folder();
+    let trip = |id: &str, depart: f64, speed: &str| {
+        format!(
+            "<trip id=\"{id}\" depart=\"{depart}\" from=\"east_in\" to=\"west_out\" departPos=\"{speed}/>"
+        )
+    };
+    let fast = trip("fast", 0.0, "last\" departSpeed=\"22\"");
+    let good = trip("good", 1.0, "base\"");
+    let path = scenario(folder.path(), "", &(fast + &good));
+    let text = fs::read_to_string(&path).expect("the scenario");
+    let (head, rest) = text.split_once("<agents ").expect("agents");
+    let (_, tail) = rest.split_once("/>").expect("an element");
+    let agents = "<agents min=\"1\" max=\"1\" default=\"1\" vehicles=\"*\"/>";
+    let (head, tail) = (head.to_owned() + agents, tail.to_owned());
+    let spawns = |text: String| -> String {
+        text.lines().filter(|line| !line.contains("<spawn ")).collect::<Vec<_>>().join("\n")
+    };
+    fs::write(&path, spawns(head + &tail)).expect("a file");
+    let _turn = turn(Backend::Traci);
+    let task = Arc::new(Task::new(&Scenario::load(&path).expect("a scenario"), 1).expect("a task"));
+    let mut env = VecEnv::new(&task, &agents_drive(1, 7, Hosting::default())).expect("SUMO runs");
+    let mut active = Vec::new();
+    for _ in 0..30 {
+        env.step(&[0.0]).expect("a step");
+        active.push(env.worlds().next().expect("one world").frame().active[0]);
+    }
+    assert!(active[5] == 0.0 && active[29] == 1.0, "{active:?}");
 }

@@ -58,19 +58,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             let hosting = Hosting::default();
             let refused = Trial::refused(scenario, agents, &hosting);
             let trial = refused.and_then(|refused| {
-                if !refused.is_empty() {
-                    return Ok(Err(refused));
-                }
-                Trial::run(scenario, agents, args.steps, Seed::new(args.seed), &hosting).map(Ok)
+                let seed = Seed::new(args.seed);
+                Ok((refused, Trial::run(scenario, agents, args.steps, seed, &hosting)?))
             });
             match trial {
-                Ok(Ok(trial)) => {
+                Ok((refused, trial)) => {
+                    findings.list.extend(refused);
                     findings.list.extend(trial.findings(scenario));
                     Some(trial)
-                }
-                Ok(Err(refused)) => {
-                    findings.list.extend(refused);
-                    None
                 }
                 Err(error) if is_fault_of_scenario(&error) => {
                     findings.list.push(failed(&error, scenario));

@@ -2,7 +2,9 @@
 
 use std::path::PathBuf;
 
-use iwol_sumo::scenario::author::{Candidate, Choices, Map, import};
+use iwol_sumo::scenario::author::{
+    Candidate, Choices, Imported, Map, import, import_configuration,
+};
 use iwol_sumo::words::counted;
 
 use super::Verdict;
@@ -10,16 +12,26 @@ use super::Verdict;
 /// Maximum number of junctions, and of warnings, that are listed.
 const LISTED: usize = 8;
 
-/// The scenario contains one junction or roundabout, all routes of cars across it that need no lane
-/// change, and spawn places on the lanes that lead to it. What it leaves out of the map is printed.
+/// Of a map or a net, the scenario contains one junction or roundabout, all routes of cars across it
+/// that need no lane change, and spawn places on the lanes that lead to it. Of a configuration of SUMO,
+/// it contains the whole net with its demand, of which 20 % of the cars are agents. What it leaves out
+/// is printed.
 #[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("source").required(true).args(["osm", "net", "sumocfg"]))]
 pub(super) struct Args {
     /// OpenStreetMap extract (XML), which netconvert converts to a net.
-    #[arg(long, value_name = "FILE", required_unless_present = "net", conflicts_with = "net")]
+    #[arg(long, value_name = "FILE")]
     osm: Option<PathBuf>,
     /// SUMO net (.net.xml or .net.xml.gz).
     #[arg(long, value_name = "FILE")]
     net: Option<PathBuf>,
+    /// Configuration of SUMO (.sumocfg), with a net and demand.
+    #[arg(
+        long,
+        value_name = "FILE",
+        conflicts_with_all = ["junction", "steering", "left_hand", "whole_net"]
+    )]
+    sumocfg: Option<PathBuf>,
     /// Name of the scenario and of its files.
     #[arg(long, value_name = "NAME")]
     out: String,
@@ -27,9 +39,10 @@ pub(super) struct Args {
     /// places].
     #[arg(long, value_name = "ID")]
     junction: Option<String>,
-    /// Default number of vehicles of the scenario, limited by its number of spawn places.
-    #[arg(long, default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..))]
-    agents: u32,
+    /// Default number of agents of the scenario, limited by its number of spawn places [default: 8;
+    /// of a configuration, as many as its demand needs].
+    #[arg(long, value_parser = clap::value_parser!(u32).range(1..=2500))]
+    agents: Option<u32>,
     /// Let vehicles steer instead of following their lanes.
     #[arg(long)]
     steering: bool,
@@ -47,6 +60,9 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    if let Some(file) = &args.sumocfg {
+        return Ok(told(&import_configuration(&args.root, &args.out, file, args.agents)?));
+    }
     let map = match (&args.osm, &args.net) {
         (Some(file), _) => Map::Osm(file),
         (None, Some(file)) => Map::Net(file),
@@ -54,7 +70,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     };
     let choices = Choices {
         junction: args.junction.as_deref(),
-        agents: args.agents,
+        agents: args.agents.unwrap_or(8),
         steering: args.steering,
         left_hand: args.left_hand,
         whole_net: args.whole_net,
@@ -79,7 +95,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             counted(imported.candidates.len() - LISTED, "more junction")
         );
     }
+    Ok(told(&imported))
+}
+
+/// Prints what the scenario does not have, where it is, and what to do next.
+fn told(imported: &Imported) -> Verdict {
     imported.notes.iter().for_each(|note| say!("{note}"));
     super::next(&imported.scenario);
-    Ok(Verdict::Good)
+    Verdict::Good
 }

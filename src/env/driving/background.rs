@@ -25,6 +25,9 @@ use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
 use crate::sumo::{Command, Snapshot};
 
+/// Half a millisecond \[s\]: SUMO's times are whole milliseconds, and sums of times are rounded.
+const MARGIN: f64 = 5e-4;
+
 /// Departure times of a vehicle or flow of the route files.
 #[derive(Debug, Clone)]
 struct Clock {
@@ -147,8 +150,8 @@ impl Background {
     }
 
     /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
-    /// the other vehicles wait. Agents that wait depart in the order of their times, so that no flow
-    /// gets every slot that becomes free.
+    /// the other vehicles wait. Those that have waited longest depart first, in steps for background
+    /// traffic and in seconds for agents, so that no flow gets every slot that becomes free.
     fn let_depart(
         &mut self,
         task: &Task,
@@ -158,37 +161,40 @@ impl Background {
         commands: &mut Vec<Command>,
     ) {
         let sources = &task.map.plan.sources;
+        let interval = task.scenario.control.interval;
         let mut vacant = task.agents + task.placed;
         loop {
-            let mut agent: Option<(usize, Due)> = None;
+            // The first of the background traffic and the first agent, each with its order.
+            let mut first: [Option<(f64, usize, Due)>; 2] = [None; 2];
             for (index, (source, clock)) in sources.iter().zip(&mut self.clocks).enumerate() {
-                while let Some(due) = clock.due(task, source, now) {
-                    if due.is_agent {
-                        if agent.is_none_or(|(_, first)| due.time < first.time) {
-                            agent = Some((index, due));
-                        }
-                        break;
-                    }
-                    let found = (vacant..slots.len()).find(|&i| slots[i].is_free());
-                    vacant = found.map_or(slots.len(), |i| i + 1);
-                    let Some(i) = found else { break };
-                    clock.take(task, source);
-                    let (vehicle_type, size) = task.demand_type(due.kind);
-                    let route = task.map.plan.departures[due.departure].route;
-                    slots[i] =
-                        Slot { route, assigned: route, size, added: true, ..Slot::default() };
-                    commands.push(Command::Depart {
-                        world,
-                        slot: i as u32,
-                        departure: due.departure as u32,
-                        vehicle_type,
-                        // The stops of a flow are timed from its first departure.
-                        until_from_now: due.time - source.begin - now,
-                    });
+                let Some(due) = clock.due(task, source, now) else { continue };
+                let steps = ((due.time - MARGIN) / interval).ceil();
+                let order = if due.is_agent { due.time } else { steps };
+                let known = &mut first[usize::from(due.is_agent)];
+                if known.is_none_or(|(least, ..)| order < least) {
+                    *known = Some((order, index, due));
                 }
             }
+            let [other, agent] = first;
+            let found = (vacant..slots.len()).find(|&i| slots[i].is_free() && other.is_some());
+            vacant = found.map_or(vacant, |i| i + 1);
+            if let (Some((_, index, due)), Some(i)) = (other, found) {
+                self.clocks[index].take(task, &sources[index]);
+                let (vehicle_type, size) = task.demand_type(due.kind);
+                let route = task.map.plan.departures[due.departure].route;
+                slots[i] = Slot { route, assigned: route, size, added: true, ..Slot::default() };
+                commands.push(Command::Depart {
+                    world,
+                    slot: i as u32,
+                    departure: due.departure as u32,
+                    vehicle_type,
+                    // The stops of a flow are timed from its first departure.
+                    until_from_now: due.time - sources[index].begin - now,
+                });
+                continue;
+            }
             let free = (0..task.agents).find(|&i| slots[i].is_free());
-            let (Some((index, due)), Some(i)) = (agent, free) else { return };
+            let (Some((_, index, due)), Some(i)) = (agent, free) else { return };
             self.clocks[index].take(task, &sources[index]);
             let (vehicle_type, size) = task.agent_type(self.driver, due.kind);
             let planned = &task.map.plan.departures;
@@ -245,13 +251,6 @@ impl Background {
         snapshot: &Snapshot,
         slots: &mut [Slot],
     ) {
-        for dropped in snapshot.dropped.iter().filter(|dropped| dropped.world == world) {
-            let other = (dropped.slot as usize).checked_sub(task.agents);
-            if let Some(slot) = other.and_then(|i| slots.get_mut(i)) {
-                *slot = Slot::default();
-                task.warn_of_dropped(dropped.departure as usize);
-            }
-        }
         let first = world as usize * task.slots() + task.agents;
         for (i, slot) in slots.iter_mut().enumerate() {
             let (body, state) = (snapshot.bodies.get(first + i), snapshot.vehicles.get(first + i));
@@ -337,11 +336,9 @@ impl Background {
 impl Clock {
     /// Returns the vehicles of a vehicle or flow that are due at `now`, which it draws if none is.
     fn due(&mut self, task: &Task, source: &PlannedSource, now: f64) -> Option<Due> {
-        // The margin is half a millisecond: SUMO's times are whole milliseconds, and our sums are
-        // rounded.
         while self.due.is_none()
             && self.left > 0
-            && self.next <= now + 5e-4
+            && self.next <= now + MARGIN
             && self.next < source.end
         {
             let kind = draw(&task.demand.sources[source.source].types, &mut self.rng);

@@ -114,6 +114,8 @@ pub struct AgentView {
     pub outcome: Outcome,
     /// Pose of the vehicle's centre; the last one if the vehicle is gone.
     pub pose: Pose,
+    /// Length and width of the vehicle \[m\].
+    pub size: Size,
     /// Index of the agent's route.
     pub route: usize,
     /// Position of the centre along the route \[m\].
@@ -133,6 +135,7 @@ impl AgentView {
             wreck: slot.status == Status::Wreck,
             outcome: slot.outcome,
             pose: slot.pose,
+            size: slot.size,
             route: slot.route,
             position: slot.s,
             lateral: slot.lateral,

@@ -110,7 +110,13 @@ impl Map {
             places.push(known.unwrap_or(lanes.len()));
             if known.is_none() {
                 lanes.push(laid.path);
-                route_ids.push(format!("{} of a route file", laid.id));
+                // Routes of a distribution, and parts of a route, have one id.
+                let mut names = (2..).map(|nth| format!("{} ({nth}) of a route file", laid.id));
+                let mut id = format!("{} of a route file", laid.id);
+                while route_ids.contains(&id) {
+                    id = names.next().unwrap_or(id);
+                }
+                route_ids.push(id);
                 route_edges.push(laid.edges);
             }
         }

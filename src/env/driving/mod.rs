@@ -58,6 +58,7 @@ pub use geometry::{Pose, Size, boxes_overlap};
 pub use map::{Map, RoutePosition};
 pub use metrics::{BackgroundMetrics, EpisodeRecord};
 pub use order::Position;
+pub use refusals::Refused;
 pub use routes::{Conflict, RouteGeometry};
 pub use task::{Driver, Task};
 pub use trips::FlowMetrics;

@@ -7,15 +7,29 @@ use super::task::{Driver, Task};
 use crate::scenario::LeftOut;
 use crate::sumo::{self, Backend, Command, Departure, Hosting};
 
+/// What SUMO refuses of the route files, in their order.
+#[derive(Debug, Clone, Default)]
+pub struct Refused {
+    /// Vehicles, persons and flows that do not depart.
+    pub vehicles: Vec<LeftOut>,
+    /// Vehicles and flows that drive on without one of their stops.
+    pub stops: Vec<LeftOut>,
+    /// Number of vehicles, persons and flows that the files let depart within an episode.
+    pub of: usize,
+}
+
+/// SUMO's reason, and whether the vehicle drives without a stop.
+type Answer = (String, bool);
+
 impl Task {
-    /// Returns the vehicles and persons of the route files whom SUMO refuses, each with SUMO's
-    /// reason.
+    /// Returns the vehicles and persons of the route files whom SUMO refuses, or of whom SUMO refuses a
+    /// stop, each with SUMO's reason.
     ///
     /// # Errors
     /// [`Error::Sumo`] if SUMO fails.
-    pub fn refused_departures(&self, hosting: &Hosting) -> Result<Vec<LeftOut>, Error> {
+    pub fn refused_departures(&self, hosting: &Hosting) -> Result<Refused, Error> {
         let plan = &self.map.plan;
-        let mut refused: Vec<LeftOut> = Vec::new();
+        let mut refused = Refused { of: plan.wanted, ..Refused::default() };
         if plan.departures.is_empty() {
             return Ok(refused);
         }
@@ -24,17 +38,22 @@ impl Task {
         let departures = config.others.iter().flat_map(|others| others.departures.clone());
         let departures: Vec<Departure> = departures.collect();
         // Vehicles that depart alike share the answer, because there may be thousands of them.
-        let mut answers: HashMap<(u32, String), Option<String>> = HashMap::new();
+        let mut answers: HashMap<(u32, String), Option<Answer>> = HashMap::new();
         let mut simulation = sumo::start(Backend::Traci, config).map_err(failed)?;
         let mut exchange = |commands: &[Command]| {
             simulation.send(commands)?;
             match simulation.receive() {
-                Ok(snapshot) => {
-                    let dropped = !snapshot.dropped.is_empty();
-                    Ok(dropped.then(|| "SUMO drops it when it departs".to_owned()))
-                }
+                Ok(snapshot) => Ok(snapshot.dropped.first().map(|dropped| {
+                    let what = if dropped.drives {
+                        "refuses its stop"
+                    } else {
+                        "drops it when it departs"
+                    };
+                    let why = dropped.reason.as_ref().map(|reason| format!(": {}", reason.trim()));
+                    (format!("SUMO {what}{}", why.unwrap_or_default()), dropped.drives)
+                })),
                 Err(sumo::Error::Refused { message, .. }) => {
-                    Ok(Some(format!("SUMO refuses it: {}", message.trim())))
+                    Ok(Some((format!("SUMO refuses it: {}", message.trim()), false)))
                 }
                 Err(error) => Err(error),
             }
@@ -55,11 +74,11 @@ impl Task {
                         new.insert(exchange(&[remove, depart]).map_err(failed)?).clone()
                     }
                 };
-                if let Some(reason) = reason
-                    && refused.last().is_none_or(|last| last.place != source.place)
-                {
+                let Some((reason, drives)) = reason else { continue };
+                let list = if drives { &mut refused.stops } else { &mut refused.vehicles };
+                if list.last().is_none_or(|last| last.place != source.place) {
                     let (id, element) = (source.id.clone(), source.element);
-                    refused.push(LeftOut { id, element, place: source.place.clone(), reason });
+                    list.push(LeftOut { id, element, place: source.place.clone(), reason });
                 }
             }
         }

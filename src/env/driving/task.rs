@@ -13,7 +13,9 @@ use crate::scenario::{
     Control, Demand, Finish, PlannedDeparture, PlannedSource, Scenario, Source, Spacing,
     SpawnPlace, Start, VehicleKind,
 };
-use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
+use crate::sumo::{
+    BackgroundTraffic, Departure, Dropped, Hosting, Route, SimulationConfig, VehicleType,
+};
 
 /// Index of the agents' vehicle type in [`SimulationConfig::vehicle_types`].
 pub(super) const AGENT_TYPE: u32 = 0;
@@ -142,18 +144,25 @@ impl Task {
         self.map.plan.warning().map(|(what, hint)| format!("{what}; {hint}"))
     }
 
-    /// Warns, once for each vehicle or flow, that SUMO drops a vehicle of this departure instead of
-    /// letting it depart.
-    pub(super) fn warn_of_dropped(&self, departure: usize) {
-        let Some(planned) = self.map.plan.departures.get(departure) else { return };
+    /// Warns, once for each vehicle or flow, that SUMO drops a vehicle of it instead of letting it
+    /// depart, or refuses one of its stops.
+    pub(super) fn warn_of_dropped(&self, dropped: &Dropped) {
+        let departures = &self.map.plan.departures;
+        // The departures of agents come after those of the background traffic.
+        let index = (dropped.departure as usize).checked_rem(departures.len());
+        let Some(planned) = index.map(|index| &departures[index]) else { return };
         let first = self.dropped.lock().is_ok_and(|mut known| known.insert(planned.source));
         if first {
             let source = &self.demand.sources[planned.source];
             let (element, name) = (source.element, source.name());
-            tracing::warn!(
-                "SUMO drops the {element} {name} when it departs, so that it is left out; \
-                 `iwol scenario check` names all such vehicles"
-            );
+            let what = if dropped.drives {
+                format!("refuses a stop of the {element} {name}, which drives on without it")
+            } else {
+                format!("drops the {element} {name} when it departs, so that it is left out")
+            };
+            let reason = dropped.reason.as_ref().map(|text| format!(" ({})", text.trim()));
+            let reason = reason.unwrap_or_default();
+            tracing::warn!("SUMO {what}{reason}; `iwol scenario check` names all such vehicles");
         }
     }
 

@@ -324,6 +324,14 @@ impl World {
     /// [`Error::Vanished`] if SUMO has lost a vehicle.
     fn place(&mut self, world: u32, snapshot: &Snapshot) -> Result<(), Error> {
         let task = &self.task;
+        for dropped in snapshot.dropped.iter().filter(|dropped| dropped.world == world) {
+            if let Some(slot) = self.traffic.slots.get_mut(dropped.slot as usize)
+                && !dropped.drives
+            {
+                *slot = Slot::default();
+            }
+            task.warn_of_dropped(dropped);
+        }
         let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
         motion::place(task, self.driver, world, snapshot, self.episode.step, agents)?;
         if task.others > 0 {

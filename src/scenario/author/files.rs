@@ -118,12 +118,17 @@ impl Layout {
 
     /// Writes the scenario with comments, its schema, and the files that `sumo -c` reads.
     pub(super) fn write(&self, scenario: &Scenario) -> Result<(), Error> {
-        write_atomic(&self.scenario.with_file_name("scenario.xsd"), SCHEMA.as_bytes())?;
-        write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
-        // Reading the file back applies the checks of every scenario to the new one.
-        let scenario = Scenario::load(&self.scenario)?;
+        let scenario = self.write_scenario(scenario)?;
         write_atomic(&self.file("sumocfg"), self.configuration(&scenario).as_bytes())?;
         scenario.nets.iter().try_for_each(|net| show_traffic(&scenario, net))
+    }
+
+    /// Writes the scenario with comments and its schema; returns the scenario as it is read back,
+    /// which applies the checks of every scenario to the new one.
+    pub(super) fn write_scenario(&self, scenario: &Scenario) -> Result<Scenario, Error> {
+        write_atomic(&self.scenario.with_file_name("scenario.xsd"), SCHEMA.as_bytes())?;
+        write_atomic(&self.scenario, commented(&scenario.to_xml()).as_bytes())?;
+        Ok(Scenario::load(&self.scenario)?)
     }
 
     /// Returns the configuration for `sumo -c`: the net, the vehicles and, if they exist,

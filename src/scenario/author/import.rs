@@ -24,7 +24,7 @@ const OSM_OPTIONS: [(&str, &str); 7] = [
     ("no-turnarounds", "true"),
 ];
 /// Largest top speed, which otherwise is the lowest speed limit on the routes \[m/s\].
-const SPEED: f64 = 22.222;
+pub(super) const SPEED: f64 = 22.222;
 /// Junctions up to this distance from the routes belong to the scenario's part of a large net: the
 /// range in which agents observe others \[m\].
 const NEAR: f64 = 100.0;
@@ -179,7 +179,7 @@ fn drives_left(file: &Path, notes: &mut Vec<String>) -> bool {
 }
 
 /// Returns the text of a net that declares no other encoding than its own.
-fn in_utf8(text: &str) -> Cow<'_, str> {
+pub(super) fn in_utf8(text: &str) -> Cow<'_, str> {
     let rest = text.strip_prefix("<?xml").and_then(|text| text.split_once("?>"));
     match rest {
         Some((declared, rest)) if !declared.to_ascii_uppercase().contains("UTF-8") => {

@@ -1,6 +1,7 @@
-//! Makes scenarios from a template ([`create`]) or from a map ([`import`]), as files for further
-//! editing, and builds their nets ([`build`]).
+//! Makes scenarios from a template ([`create`]), from a map ([`import`]) or from a configuration of
+//! SUMO ([`import_configuration`]), as files for further editing, and builds their nets ([`build`]).
 
+mod configuration;
 mod error;
 mod files;
 mod import;
@@ -12,6 +13,7 @@ mod template;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+pub use configuration::import_configuration;
 pub use error::Error;
 pub use import::{Choices, Imported, Map, import};
 pub use netconvert::{Built, State, build, state};

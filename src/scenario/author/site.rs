@@ -9,6 +9,7 @@ use super::{FIRST, SPACING};
 use crate::sumo::net::{
     CARS, Connection, EdgeFunction, Junction, Lane, Net, Path as LanePath, Problem,
 };
+use crate::words::counted;
 
 /// Distance between the last spawn place and the end of its lane: half a vehicle and the jitter
 /// \[m\].
@@ -102,7 +103,11 @@ impl LeftOut {
         self.0.iter().map(|(reason, names)| {
             let more = if names.len() > NAMED { ", ..." } else { "" };
             let shown = names.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
-            format!("left out: {} {reason} ({shown}{more})", names.len())
+            // The first word of a reason is a noun in the plural.
+            let (things, rest) = reason.split_once(' ').unwrap_or((reason, ""));
+            let counted = counted(names.len(), things.strip_suffix('s').unwrap_or(things));
+            let rest = if rest.is_empty() { String::new() } else { format!(" {rest}") };
+            format!("left out: {counted}{rest} ({shown}{more})")
         })
     }
 }
@@ -193,7 +198,7 @@ impl<'n> Streets<'n> {
     fn fits(&self, lane: usize) -> Result<(), &'static str> {
         let (lane, edge) = (&self.net.lanes[lane], &self.net.edges[self.net.lanes[lane].edge]);
         match () {
-            () if edge.function != EdgeFunction::Normal => Err("lanes that are not on a road"),
+            () if edge.function != EdgeFunction::Normal => Err("lanes outside of roads"),
             () if !lane.classes.contain(CARS) => Err("lanes closed to cars"),
             () if lane.width < WIDTH => Err("lanes narrower than 2.4 m"),
             () if lane.speed <= 0.0 => Err("lanes with the speed limit 0"),
@@ -273,7 +278,8 @@ impl<'n> Streets<'n> {
         ways: &mut Vec<(Vec<usize>, usize)>,
         left_out: &mut LeftOut,
     ) {
-        for link in self.net.connections_from(lane) {
+        let sidewalk = |lane: usize| self.net.lanes[lane].is_sidewalk();
+        for link in self.net.connections_from(lane).filter(|link| !sidewalk(link.to)) {
             let next = self.net.lanes[link.to].edge;
             if turns_back(link) {
                 left_out.add("U-turns", self.name(link));
@@ -415,13 +421,13 @@ impl<'n> Streets<'n> {
     ) -> Result<(Route, LanePath), &'static str> {
         // A loop would lead back over spawn places.
         if ring.iter().chain(exit).any(|edge| chain.contains(edge)) {
-            return Err("ways that lead back to where they begin");
+            return Err("ways back to where they begin");
         }
         let id = |edge: &usize| self.net.edges[*edge].id.clone();
         let edges: Vec<String> = [chain, ring, exit].concat().iter().map(id).collect();
         let lane = Some(self.net.lanes[start].index);
         let path = self.net.route_path_from(&edges, lane).map_err(|error| match error.problem {
-            Problem::LaneChange { .. } => "ways that need a lane change",
+            Problem::LaneChange { .. } => "ways with a lane change",
             _ => "ways that cars cannot drive",
         })?;
         let name = format!("{}_to_{}", edges[chain.len() - 1], edges[chain.len() + ring.len()]);

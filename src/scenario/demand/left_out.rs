@@ -1,6 +1,6 @@
 //! Vehicles, persons and flows that cannot be used, and what messages say about them.
 
-use crate::scenario::{Error, Place};
+use crate::scenario::{Error, Finding, Place};
 use crate::sumo::net::shorten;
 
 /// Number of vehicles that a message names.
@@ -29,11 +29,22 @@ impl LeftOut {
         let hint = Some("correct or delete it");
         Error::Invalid { place: self.place.clone(), message, hint }
     }
+
+    /// Returns the finding that some of `all` vehicles, persons and flows did something, such as
+    /// `left out`; `None` if nobody did.
+    pub fn finding(list: &[Self], all: usize, did: &str) -> Option<Finding> {
+        let (message, hint) = warning(list, all, did)?;
+        Some(Finding::warning("left-out", list[0].place.clone(), message, hint))
+    }
 }
 
-/// Returns a line about those who are left out, of `all` vehicles, persons and flows, and what to
-/// do; `None` if nobody is.
-pub(super) fn warning(left_out: &[LeftOut], all: usize) -> Option<(String, &'static str)> {
+/// Returns a line about those of `all` vehicles, persons and flows who did something, and what to
+/// do; `None` if nobody did.
+pub(super) fn warning(
+    left_out: &[LeftOut],
+    all: usize,
+    did: &str,
+) -> Option<(String, &'static str)> {
     let count = left_out.len();
     let first = left_out.iter().take(NAMED).map(|out| {
         let (element, id, place) = (out.element, shorten(&out.id), &out.place);
@@ -42,5 +53,5 @@ pub(super) fn warning(left_out: &[LeftOut], all: usize) -> Option<(String, &'sta
     let first = first.collect::<Vec<_>>().join(", ");
     let more = if count > NAMED { ", …" } else { "" };
     let what = format!("{all} vehicles, persons and flows of the route files");
-    (count > 0).then(|| (format!("{count} of {what} left out: {first}{more}"), STRICT))
+    (count > 0).then(|| (format!("{count} of {what} {did}: {first}{more}"), STRICT))
 }

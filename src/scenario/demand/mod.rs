@@ -21,12 +21,18 @@ use std::path::Path;
 
 pub use left_out::LeftOut;
 pub use plan::{DemandPlan, PlannedDeparture, PlannedSource};
+pub(super) use table::is_taken;
 pub use table::route_files;
 pub(super) use times::seconds;
 
 use super::reader::{Reader, document, text_up_to};
 use super::{Error, Place};
 use crate::sumo::net;
+
+/// Returns the text of a route file.
+pub(super) fn text(path: &Path) -> Result<String, Error> {
+    text_up_to(path, MAX_BYTES)
+}
 
 /// Largest route file that is read, uncompressed \[bytes\].
 const MAX_BYTES: u64 = 256 << 20;
@@ -96,6 +102,8 @@ pub struct Demand {
     mixes: HashMap<String, Vec<(usize, f64)>>,
     /// Routes and distributions of routes by id: indices into `routes`, and weights.
     named_routes: HashMap<String, Vec<(usize, f64)>>,
+    /// Places where vehicles stop, by element and id, as stops without a duration.
+    stopping_places: HashMap<(String, String), Halt>,
     /// Ids of sources, of those who walk and of vehicles.
     ids: HashSet<(bool, String)>,
     /// Attributes and elements without effect, as element and attribute, with the number of
@@ -129,8 +137,8 @@ pub struct DemandRoute {
     pub id: String,
     /// How the file specifies it.
     pub itinerary: Itinerary,
-    /// Stops of all vehicles on the route.
-    pub stops: Vec<Halt>,
+    /// Stops of all vehicles on the route, or why they cannot be made.
+    pub stops: Result<Vec<Halt>, String>,
     /// File, line and column.
     pub place: Place,
 }
@@ -249,6 +257,8 @@ pub struct Source {
     pub number: u64,
     /// Times between departures.
     pub spacing: Spacing,
+    /// Why the file's vehicle or person is left out, if it has something that is not taken.
+    pub not_taken: Option<String>,
 }
 
 /// An edge of a route on which a vehicle departs or arrives.
@@ -314,7 +324,7 @@ impl Demand {
         ];
         let mut demand = Self { types, ..Self::default() };
         for path in files.iter().map(AsRef::as_ref) {
-            let text = text_up_to(path, MAX_BYTES)?;
+            let text = text(path)?;
             let document = document(&text, path)?;
             demand.read(&Reader::new(path, &document), &text)?;
         }
@@ -324,7 +334,8 @@ impl Demand {
     /// Returns the type with this id, or the types of the distribution with this id: indices into
     /// [`Demand::types`], and weights.
     pub fn mix(&self, id: &str) -> Option<Vec<(usize, f64)>> {
-        let one = self.types.iter().position(|kind| kind.id == id).map(|index| vec![(index, 1.0)]);
-        one.or_else(|| self.mixes.get(id).cloned())
+        // A distribution may have the id of a default type, in whose place it then is.
+        let one = || Some(vec![(self.types.iter().position(|kind| kind.id == id)?, 1.0)]);
+        self.mixes.get(id).cloned().or_else(one)
     }
 }

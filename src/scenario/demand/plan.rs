@@ -35,7 +35,7 @@ pub struct DemandPlan {
 impl DemandPlan {
     /// Returns a line about what is left out, and what to do; `None` if nothing is.
     pub fn warning(&self) -> Option<(String, &'static str)> {
-        left_out::warning(&self.left_out, self.wanted)
+        left_out::warning(&self.left_out, self.wanted, "left out")
     }
 }
 
@@ -130,7 +130,7 @@ impl Planner<'_> {
     fn add(&mut self, index: usize, first: f64, number: u64) {
         let source = &self.demand.sources[index];
         let mut departures = Vec::new();
-        let mut wrong = None;
+        let mut wrong = source.not_taken.clone();
         for &(route, weight) in source.routes.iter().filter(|entry| entry.1 > 0.0) {
             match self.departures(index, source, route) {
                 Ok(found) => {
@@ -218,7 +218,7 @@ impl Planner<'_> {
             let lane = source.start.lane.parse::<u32>().ok();
             let laid = self.lay(&route.id, edges, lane, &classes)?;
             self.ends(source, edges, laid, &classes)?;
-            let halts = route.stops.iter().chain(&source.stops);
+            let halts = route.stops.as_ref().map_err(Clone::clone)?.iter().chain(&source.stops);
             let stops = self.stops(halts, source.start.pos.parse().ok(), edges, laid)?;
             found.push(self.departure(index, laid, None, stops));
         }

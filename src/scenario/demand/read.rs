@@ -19,8 +19,22 @@ const MAX_EDGES: usize = 4096;
 
 /// Names of the root element: those that SUMO's tools write today, and those of older releases.
 /// SUMO takes any name.
-const ROOTS: [&str; 6] =
-    ["routes", "additional", "route-alternatives", "trips", "flows", "additionals"];
+const ROOTS: [&str; 8] = [
+    "routes",
+    "additional",
+    "route-alternatives",
+    "trips",
+    "flows",
+    "additionals",
+    "add",
+    "tlLogics",
+];
+
+/// Values of `depart` that are no times.
+const TRIGGERED: [&str; 3] = ["triggered", "containerTriggered", "split"];
+/// Why vehicles with such a value are left out.
+const WITHOUT_TIME: &str =
+    "it departs when persons or containers have boarded, which is not taken: give a time";
 
 /// The interval around a flow, which has its default times.
 type Interval = Option<(f64, f64)>;
@@ -52,7 +66,14 @@ impl Demand {
                         self.source(reader, flow, Some((begin, end)))?;
                     }
                 }
-                element if table::ROOT.children.split_whitespace().any(|name| name == element) => {
+                element if table::STOPPING_PLACES.contains(&element) => {
+                    self.stopping_place(reader, node)?;
+                }
+                "include" => {
+                    let why = table::left_out(root, &table::ROOT).unwrap_or_default();
+                    return Err(reader.invalid(node.range().start, why));
+                }
+                element if table::is_taken(element) => {
                     self.source(reader, node, None)?;
                 }
                 _ => {}
@@ -144,7 +165,7 @@ impl Demand {
             let allowed = format!("repetitions of a route up to {MAX_EDGES} edges");
             return Err(reader.value(node, if times > 1 { "repeat" } else { "edges" }, allowed));
         }
-        let stops = repeat(&self.stops(reader, node)?, times);
+        let stops = self.stops(reader, node)?.map(|stops| repeat(&stops, times));
         self.add(reader, node, id, Itinerary::Route(repeat(&once, times)), stops)
     }
 
@@ -175,7 +196,7 @@ impl Demand {
         };
         let depart = position(person, "departPos")?.unwrap_or(0.0);
         let arrival = position(walk, "arrivalPos")?;
-        self.add(reader, walk, id, Itinerary::Walk { edges, depart, arrival }, Vec::new())
+        self.add(reader, walk, id, Itinerary::Walk { edges, depart, arrival }, Ok(Vec::new()))
     }
 
     /// Adds the trip of a vehicle, trip or flow, which passes the edges of `stops`; returns its
@@ -196,7 +217,12 @@ impl Demand {
             }
             (Some(id), None) => Ok(Terminal::Edge(id.into())),
             (None, Some(id)) => Ok(Terminal::Junction(id.into())),
-            (None, None) => Err(reader.missing(node, "attribute", edge)),
+            // The trip begins or ends at a stop.
+            (None, None) => {
+                let stop = if edge == "from" { stops.first() } else { stops.last() };
+                stop.map(|stop| Terminal::Edge(stop.edge.clone()))
+                    .ok_or_else(|| reader.missing(node, "attribute", edge))
+            }
         };
         let (from, to) = (terminal("from", "fromJunction")?, terminal("to", "toJunction")?);
         let mut via: Vec<String> = match node.attribute("via") {
@@ -210,7 +236,7 @@ impl Demand {
                 via.push(stop.edge.clone());
             }
         }
-        self.add(reader, node, id, Itinerary::Trip { from, via, to }, Vec::new())
+        self.add(reader, node, id, Itinerary::Trip { from, via, to }, Ok(Vec::new()))
     }
 
     fn add(
@@ -219,7 +245,7 @@ impl Demand {
         node: Node,
         id: &str,
         itinerary: Itinerary,
-        stops: Vec<Halt>,
+        stops: Result<Vec<Halt>, String>,
     ) -> Result<usize, Error> {
         let (key, edges) = match &itinerary {
             Itinerary::Route(edges) | Itinerary::Walk { edges, .. } => ("edges", edges.len()),
@@ -255,23 +281,32 @@ impl Demand {
         }
         let types = self.types_of(reader, node, walks)?;
         let stops = self.stops(reader, node)?;
-        let routes = self.itinerary(reader, node, id, walks, &stops)?;
-        let (begin, end, (spacing, number)) = if single {
+        let not_taken = self.not_taken(node, known).or(stops.as_ref().err().cloned());
+        let stops = stops.unwrap_or_default();
+        let routes = match &not_taken {
+            None => self.itinerary(reader, node, id, walks, &stops)?,
+            Some(_) => Vec::new(),
+        };
+        let triggered = single && node.attribute("depart").is_some_and(|t| TRIGGERED.contains(&t));
+        let not_taken = not_taken.or(triggered.then(|| WITHOUT_TIME.to_owned()));
+        let (begin, (spacing, number, end)) = if triggered {
+            (0.0, (Spacing::Equal(1.0), 1, f64::INFINITY))
+        } else if single {
             let depart = reader.text(node, "depart").and(time(reader, node, "depart", 0.0))?;
-            (depart, f64::INFINITY, (Spacing::Equal(1.0), 1))
+            (depart, (Spacing::Equal(1.0), 1, f64::INFINITY))
         } else {
             let (first, last) = interval.unwrap_or((0.0, f64::INFINITY));
             let (begin, end) =
                 (time(reader, node, "begin", first)?, time(reader, node, "end", last)?);
-            if end <= begin {
+            if end < begin {
                 let (key, allowed) = if node.has_attribute("end") {
-                    ("end", "a time after `begin`")
+                    ("end", "`begin` or a time after it")
                 } else {
                     ("begin", "a time before the end of the <interval>")
                 };
                 return Err(reader.value(node, key, allowed));
             }
-            (begin, end, departures(reader, node, begin, end)?)
+            (begin, departures(reader, node, begin, end)?)
         };
         let (start, finish) = if walks {
             (Start::default(), Finish::default())
@@ -316,8 +351,19 @@ impl Demand {
             end,
             number,
             spacing,
+            not_taken,
         });
         Ok(())
+    }
+
+    /// Returns why a vehicle, trip, person or flow is left out; `None` if it has nothing that is not
+    /// taken.
+    fn not_taken(&self, node: Node, known: &table::Known) -> Option<String> {
+        let walks = || node.children().filter(|child| child.has_tag_name("walk"));
+        let walk = || walks().find_map(|walk| table::left_out(walk, &table::WALK));
+        let second =
+            || walks().nth(1).map(|_| format!("it has several walks: {}", table::ONE_WALK));
+        table::left_out(node, known).or_else(walk).or_else(second)
     }
 
     /// Returns the types of a vehicle, person or flow.

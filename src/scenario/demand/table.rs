@@ -1,4 +1,5 @@
-//! Which elements and attributes of SUMO's route files are taken, have no effect, or are refused.
+//! Which elements and attributes of SUMO's route files are taken, have no effect, or leave out the
+//! vehicle or person that has them.
 //! The reader decides by this table, and the documentation is made from it.
 
 use std::fmt::Write as _;
@@ -26,14 +27,15 @@ pub(super) struct Known {
     pub(super) taken: &'static str,
     /// Attributes that have no effect here, which a warning counts.
     pub(super) idle: &'static str,
-    /// Attributes that are refused, and what to do instead.
-    pub(super) refused: &'static [(&'static str, &'static str)],
+    /// Attributes with which the vehicle or person is left out, and what to do instead.
+    pub(super) left_out: &'static [(&'static str, &'static str)],
     /// Elements within it that are taken.
     pub(super) children: &'static str,
     /// Elements within it that have no effect here, which a warning counts.
     pub(super) idle_children: &'static str,
-    /// Elements within it that are refused, and what to do instead.
-    pub(super) refused_children: &'static [(&'static str, &'static str)],
+    /// Elements within it with which the vehicle or person is left out, or which the root element
+    /// must not have, and what to do instead.
+    pub(super) left_out_children: &'static [(&'static str, &'static str)],
 }
 
 const ZONES: &str = "zones are not taken: make trips or routes of the zones with SUMO's duarouter \
@@ -41,24 +43,23 @@ const ZONES: &str = "zones are not taken: make trips or routes of the zones with
 const COORDINATES: &str =
     "places by coordinates are not taken: make routes of them with SUMO's duarouter";
 const BY_JUNCTIONS: &str = "name edges to pass in `via`, or make routes with SUMO's duarouter";
-const STOPPING_PLACES: &str = "stops at stopping places are not taken: give `lane` and `endPos`";
 const WAITING: &str =
     "stops that wait for persons, containers or vehicles are not taken: give a `duration`";
-const CONTAINERS: &str = "containers are not taken: delete the element";
-const ONE_WALK: &str = "a person has one <walk> here: delete the element, or split the person";
+pub(super) const ONE_WALK: &str =
+    "a person has one <walk> here: delete the element, or split the person";
 
 const NOTHING: Known = Known {
     name: "",
     taken: "",
     idle: "",
-    refused: &[],
+    left_out: &[],
     children: "",
     idle_children: "",
-    refused_children: &[],
+    left_out_children: &[],
 };
 
 /// All elements of route files but those within the types of vehicles.
-pub(super) const ELEMENTS: [&Known; 14] = [
+pub(super) const ELEMENTS: [&Known; 15] = [
     &ROOT,
     &TYPE,
     &CAR_FOLLOWING,
@@ -70,6 +71,7 @@ pub(super) const ELEMENTS: [&Known; 14] = [
     &FLOW,
     &INTERVAL,
     &STOP,
+    &STOPPING_PLACE,
     &PERSON,
     &PERSON_FLOW,
     &WALK,
@@ -77,21 +79,15 @@ pub(super) const ELEMENTS: [&Known; 14] = [
 
 pub(super) const ROOT: Known = Known {
     name: "routes",
-    children: "vType vTypeDistribution route routeDistribution vehicle trip flow interval person personFlow",
-    // What else SUMO's additional files contain.
-    idle_children: "busStop trainStop containerStop chargingStation parkingArea overheadWire \
-        overheadWireSegment overheadWireClamp tractionSubstation e1Detector inductionLoop e2Detector \
-        laneAreaDetector e3Detector entryExitDetector instantInductionLoop edgeData laneData \
-        routeProbe vTypeProbe timedEvent poi poly polygon location type taz tazs param",
-    refused_children: &[
-        ("include", "name the file in `files` of <traffic> instead"),
-        ("container containerFlow", CONTAINERS),
-        (
-            "calibrator rerouter vaporizer variableSpeedSign tlLogic WAUT wautJunction \
-          railSignalConstraints",
-            "what changes traffic while it runs is not taken: delete the element",
-        ),
-    ],
+    children: "vType vTypeDistribution route routeDistribution vehicle trip flow interval person \
+        personFlow busStop trainStop containerStop chargingStation parkingArea",
+    // What else SUMO's route files and additional files contain.
+    idle_children: "container containerFlow overheadWire overheadWireSegment overheadWireClamp \
+        tractionSubstation e1Detector inductionLoop e2Detector laneAreaDetector e3Detector \
+        entryExitDetector instantInductionLoop edgeData laneData routeProbe vTypeProbe timedEvent \
+        poi poly polygon location type taz tazs param calibrator rerouter vaporizer \
+        variableSpeedSign tlLogic WAUT wautJunction railSignalConstraints",
+    left_out_children: &[("include", "name the file in `files` of <traffic> instead")],
     ..NOTHING
 };
 
@@ -170,7 +166,7 @@ macro_rules! vehicle {
     };
 }
 const VEHICLE_IDLE: &str = "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength";
-const VEHICLE_REFUSED: [(&str, &str); 3] = [
+const VEHICLE_LEFT_OUT: [(&str, &str); 3] = [
     ("fromTaz toTaz", ZONES),
     ("fromLonLat toLonLat viaLonLat fromXY toXY viaXY", COORDINATES),
     ("viaJunctions", BY_JUNCTIONS),
@@ -180,7 +176,7 @@ pub(super) const VEHICLE: Known = Known {
     name: "vehicle",
     taken: vehicle!(" depart"),
     idle: VEHICLE_IDLE,
-    refused: &VEHICLE_REFUSED,
+    left_out: &VEHICLE_LEFT_OUT,
     children: "route routeDistribution stop",
     idle_children: "param",
     ..NOTHING
@@ -197,16 +193,30 @@ pub(super) const FLOW: Known = Known {
 pub(super) const INTERVAL: Known =
     Known { name: "interval", taken: "begin end", children: "flow", ..NOTHING };
 
+/// SUMO's places where vehicles stop.
+pub(super) const STOPPING_PLACES: [&str; 5] =
+    ["busStop", "trainStop", "containerStop", "chargingStation", "parkingArea"];
+
 pub(super) const STOP: Known = Known {
     name: "stop",
-    taken: "lane edge startPos endPos friendlyPos duration until parking",
+    taken: "lane edge startPos endPos friendlyPos duration until parking busStop trainStop \
+        containerStop chargingStation parkingArea",
     idle: "posLat index arrival extension expected permitted expectedContainers actType tripId line \
         priorEdges priorEdgesLength started ended onDemand actualArrival depart collision",
-    refused: &[
-        ("busStop trainStop containerStop chargingStation parkingArea", STOPPING_PLACES),
+    left_out: &[
         ("triggered containerTriggered split join", WAITING),
         ("speed", "waypoints are not taken: delete the stop"),
     ],
+    ..NOTHING
+};
+
+/// A place where vehicles stop.
+pub(super) const STOPPING_PLACE: Known = Known {
+    name: "busStop",
+    taken: "id lane startPos endPos friendlyPos onRoad",
+    idle: "name lines color personCapacity containerCapacity parkingLength roadsideCapacity width \
+        length angle departPos power efficiency chargeInTransit chargeDelay",
+    idle_children: "param access space",
     ..NOTHING
 };
 
@@ -216,7 +226,7 @@ pub(super) const PERSON: Known = Known {
     idle: "color arrival arrivalPos modes vTypes speedFactor",
     children: "walk",
     idle_children: "param",
-    refused_children: &[("personTrip ride stop", ONE_WALK)],
+    left_out_children: &[("personTrip ride stop", ONE_WALK)],
     ..NOTHING
 };
 
@@ -230,7 +240,7 @@ pub(super) const WALK: Known = Known {
     name: "walk",
     taken: "edges from to arrivalPos",
     idle: "speed duration departPos departPosLat departLane cost routeLength exitTimes started ended",
-    refused: &[
+    left_out: &[
         ("fromTaz toTaz", ZONES),
         (
             "busStop trainStop containerStop chargingStation parkingArea",
@@ -241,13 +251,37 @@ pub(super) const WALK: Known = Known {
     ..NOTHING
 };
 
-/// Returns the reason why a name is refused.
-fn reason(refused: &[(&str, &'static str)], name: &str) -> Option<&'static str> {
-    let named = |(names, _): &&(&str, _)| names.split_whitespace().any(|known| known == name);
-    refused.iter().find(named).map(|(_, why)| *why)
+/// Returns whether elements of this name in a route file or additional file are taken.
+pub(in crate::scenario) fn is_taken(name: &str) -> bool {
+    ROOT.children.split_whitespace().any(|known| known == name)
 }
 
-/// Whether a refused attribute says nothing here: a zone beside the edge, route or walk that SUMO
+/// Returns the reason that a list has for a name.
+fn reason(list: &[(&str, &'static str)], name: &str) -> Option<&'static str> {
+    let named = |(names, _): &&(&str, _)| names.split_whitespace().any(|known| known == name);
+    list.iter().find(named).map(|(_, why)| *why)
+}
+
+/// Returns why the vehicle or person with an element is left out; `None` if the table has no
+/// reason.
+pub(super) fn left_out(node: Node, known: &Known) -> Option<String> {
+    let element = node.tag_name().name();
+    let attribute = node.attributes().find_map(|attribute| {
+        let name = attribute.name();
+        let why = reason(known.left_out, name).filter(|_| !is_void(node, name))?;
+        Some(format!("{name} of <{element}> is not taken: {why}"))
+    });
+    let child = || {
+        node.children().filter(Node::is_element).find_map(|child| {
+            let name = child.tag_name().name();
+            let why = reason(known.left_out_children, name)?;
+            Some(format!("<{name}> in <{element}> is not taken: {why}"))
+        })
+    };
+    attribute.or_else(child)
+}
+
+/// Whether such an attribute says nothing here: a zone beside the edge, route or walk that SUMO
 /// takes in its place (duarouter writes both), and a `false`.
 fn is_void(node: Node, name: &str) -> bool {
     let routed = || {
@@ -274,21 +308,15 @@ impl Demand {
         node: Node,
         known: &'static Known,
     ) -> Result<(), Error> {
-        let element = node.tag_name().name();
         for attribute in node.attributes().filter(|a| a.namespace().is_none()) {
             let name = attribute.name();
-            let refused = reason(known.refused, name).filter(|_| !is_void(node, name));
-            if let Some(why) = refused {
-                let message = format!("{name} of <{element}> is not taken: {why}");
-                return Err(reader.invalid(attribute.range().start, message));
-            }
-            let zone = ["fromTaz", "toTaz"].contains(&name);
+            let zone = ["fromTaz", "toTaz"].contains(&name) && is_void(node, name);
             if zone || known.idle.split_whitespace().any(|idle| idle == name) {
                 self.count(reader, node, name);
             }
         }
         let names = |texts: [&'static str; 2]| texts.into_iter().flat_map(str::split_whitespace);
-        let void = known.refused.iter().flat_map(|entry| entry.0.split_whitespace());
+        let void = known.left_out.iter().flat_map(|entry| entry.0.split_whitespace());
         let void = void.filter(|name| node.has_attribute(*name));
         let valid: Vec<_> = names([known.taken, known.idle]).chain(void).collect();
         reader.expect_attributes(node, &valid)?;
@@ -304,17 +332,15 @@ impl Demand {
     ) -> Result<(), Error> {
         for child in node.children().filter(Node::is_element) {
             let (element, name) = (node.tag_name().name(), child.tag_name().name());
-            if let Some(why) = reason(known.refused_children, name) {
-                let message = format!("<{name}> in <{element}> is not taken: {why}");
-                return Err(reader.invalid(child.range().start, message));
-            }
             if known.idle_children.split_whitespace().any(|idle| idle == name) {
                 let entry = self.unused.entry((element.into(), format!("<{}>", shorten(name))));
                 entry.or_insert_with(|| (0, reader.at(child.range().start))).0 += 1;
             }
         }
         let all = [known.children, known.idle_children];
-        let valid: Vec<_> = all.into_iter().flat_map(str::split_whitespace).collect();
+        let left_out = known.left_out_children.iter().flat_map(|entry| entry.0.split_whitespace());
+        let valid: Vec<_> =
+            all.into_iter().flat_map(str::split_whitespace).chain(left_out).collect();
         reader.expect_children(node, &valid, false)
     }
 
@@ -328,7 +354,7 @@ impl Demand {
 /// Returns the table as Markdown.
 pub fn route_files() -> String {
     let mut out = String::from(
-        "| element | taken | without effect, with a warning | refused |\n|---|---|---|---|\n",
+        "| element | taken | without effect, with a warning | leaves the vehicle or person out; `<include>` is refused |\n|---|---|---|---|\n",
     );
     let list = |texts: &[&str], tag: bool| {
         let mut names: Vec<&str> = texts.iter().flat_map(|text| text.split_whitespace()).collect();
@@ -337,7 +363,7 @@ pub fn route_files() -> String {
         names.iter().map(quote).collect::<Vec<_>>()
     };
     for known in ELEMENTS {
-        let refused = |list: &[(&'static str, _)]| -> Vec<&'static str> {
+        let left_out = |list: &[(&'static str, _)]| -> Vec<&'static str> {
             list.iter().map(|entry| entry.0).collect()
         };
         let taken = match known.name {
@@ -348,8 +374,11 @@ pub fn route_files() -> String {
         let cells = [
             [taken, list(&[children], true)].concat(),
             [list(&[known.idle], false), list(&[known.idle_children], true)].concat(),
-            [list(&refused(known.refused), false), list(&refused(known.refused_children), true)]
-                .concat(),
+            [
+                list(&left_out(known.left_out), false),
+                list(&left_out(known.left_out_children), true),
+            ]
+            .concat(),
         ];
         let cells = cells.map(|names| names.join(", "));
         let _ = writeln!(out, "| `<{}>` | {} |", known.name, cells.join(" | "));

@@ -4,7 +4,7 @@ use roxmltree::Node;
 
 use super::super::Error;
 use super::super::reader::{Reader, finite};
-use super::{Source, Spacing};
+use super::{PlannedSource, Source, Spacing};
 
 /// Largest number of vehicles or persons of a flow.
 const MAX_NUMBER: u64 = 1_000_000;
@@ -33,13 +33,30 @@ impl Source {
     }
 }
 
-/// Returns the times between a flow's departures, and the largest number of departures.
+/// Duration for which SUMO lets a flow depart that ends where it begins \[s\].
+const MOMENT: f64 = 0.001;
+
+impl PlannedSource {
+    /// Returns the times at which vehicles or persons depart before `end` \[s\], random ones at their
+    /// mean intervals.
+    pub(in crate::scenario) fn expected(&self, end: f64) -> impl Iterator<Item = f64> {
+        let gap = match self.spacing {
+            Spacing::Equal(gap) => gap,
+            Spacing::Poisson(rate) | Spacing::Chance(rate) => 1.0 / rate,
+        };
+        let (begin, end) = (self.begin, self.end.min(end));
+        let times = (0..self.number).map(move |i| begin + i as f64 * gap);
+        times.take_while(move |&time| time < end)
+    }
+}
+
+/// Returns the times between a flow's departures, the largest number of departures, and their end.
 pub(super) fn departures(
     reader: &Reader,
     node: Node,
     begin: f64,
     end: f64,
-) -> Result<(Spacing, u64), Error> {
+) -> Result<(Spacing, u64, f64), Error> {
     let mut given = ["period", "vehsPerHour", "personsPerHour", "perHour", "probability"]
         .into_iter()
         .filter(|key| node.has_attribute(*key));
@@ -77,12 +94,17 @@ pub(super) fn departures(
             Spacing::Equal(3600.0 / reader.number(node, key, allowed, |v| v > 0.0 && v <= 1e6)?)
         }
         None if number < u64::MAX => {
-            let duration = if end.is_finite() { end - begin } else { DAY };
+            let duration = if end.is_finite() { (end - begin).max(MOMENT) } else { DAY };
             Spacing::Equal(duration / number.max(1) as f64)
         }
         None => return Err(reader.missing(node, "attribute", "period")),
     };
-    Ok((spacing, number))
+    // As for SUMO, all of such a flow depart together if it has a number, and nobody otherwise.
+    match first {
+        _ if end > begin => Ok((spacing, number, end)),
+        None => Ok((spacing, number, begin + MOMENT)),
+        Some(_) => Ok((spacing, 0, end)),
+    }
 }
 
 /// Returns the seconds of a time such as `12.5`, `1:02:03` or `1:00:00:00`.

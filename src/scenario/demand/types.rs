@@ -111,7 +111,8 @@ impl Demand {
     ) -> Result<(), Error> {
         self.expect(reader, node, &TYPES)?;
         let id = reader.text(node, "id")?;
-        if self.mix(id).is_some() {
+        let default = DEFAULT_TYPES.iter().position(|known| *known == id);
+        if self.mixes.contains_key(id) || default.is_none() && self.mix(id).is_some() {
             return Err(reader.duplicate(node, "vehicle type"));
         }
         let mut mix = Vec::new();
@@ -128,6 +129,12 @@ impl Demand {
             mix.push((known, weight));
         }
         possible(reader, node, &mix)?;
+        if default
+            .is_some_and(|of| mix.iter().any(|&(kind, _)| self.types[kind].walks != (of == 1)))
+        {
+            let allowed = "a distribution of types of persons, or of vehicles, as the default type";
+            return Err(reader.value(node, "id", allowed));
+        }
         self.mixes.insert(id.into(), mix);
         Ok(())
     }

@@ -5,12 +5,12 @@ use std::path::{Path, PathBuf};
 
 use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::Scenario;
 use iwol_sumo::scenario::author::{Map, Template, build, create};
+use iwol_sumo::scenario::{Scenario, Severity};
 use iwol_sumo::sumo::Hosting;
 
 use super::{SIZES, errors, findings, import, run};
-use crate::support::folder;
+use crate::support::{folder, root};
 
 /// Creates a scenario from the template `cross` and replaces parts of its text.
 fn changed(folder: &Path, changes: &[(&str, &str)]) -> PathBuf {
@@ -156,5 +156,101 @@ fn a_trial_says_when_there_is_little_to_coordinate() {
     assert!(
         found.iter().any(|finding| finding.message.contains("there is little to coordinate")),
         "{found:?}"
+    );
+}
+
+/// Background vehicles at spawn places drive the agents' routes, so that a type of another class must
+/// be allowed there.
+#[test]
+fn types_at_spawn_places_are_judged_by_their_class() {
+    let folder = folder();
+    let traffic = |kind: &str| {
+        let file = folder.path().join("scenarios/site.xml");
+        let _ = fs::remove_file(&file);
+        let _ = fs::remove_dir_all(folder.path().join("sumo_nets"));
+        let traffic = format!(
+            "<traffic penetration=\"0.5\" type=\"{kind}\" files=\"types.xml\"/>\n</scenario>"
+        );
+        changed(folder.path(), &[("</scenario>", &traffic)])
+    };
+    let types = "<routes><vType id=\"lorry\" vClass=\"truck\"/><vType id=\"tram\" vClass=\"tram\"/></routes>";
+    fs::create_dir_all(folder.path().join("scenarios")).unwrap();
+    fs::write(folder.path().join("scenarios/types.xml"), types).unwrap();
+    let wrong = |file: &Path| {
+        let list = Scenario::check(file).list;
+        errors(&list).iter().map(ToString::to_string).collect::<Vec<_>>()
+    };
+    assert_eq!(wrong(&traffic("lorry")), Vec::<String>::new());
+    let net = folder.path().join("sumo_nets/site/site.typ.xml");
+    let file = traffic("lorry");
+    let text = fs::read_to_string(&net).unwrap();
+    fs::write(&net, text.replace("<type id=", "<type disallow=\"truck\" id=")).unwrap();
+    build(&file, true).unwrap();
+    let [error] = &wrong(&file)[..] else { panic!("{:?}", wrong(&file)) };
+    assert!(error.contains("`lorry` is not a valid type of <traffic>"), "{error}");
+}
+
+/// SUMO ends at such junctions if it drives there, so that a check must not pass.
+#[test]
+fn zippers_of_three_lanes_are_named() {
+    let folder = folder();
+    let write = |name: &str, text: String| fs::write(folder.path().join(name), text).unwrap();
+    let nodes = r#"<nodes><node id="a" x="0" y="0"/><node id="b" x="200" y="0" type="zipper"/><node id="c" x="400" y="0"/></nodes>"#;
+    let found = |lanes: u32, traffic: &str| {
+        let edges = format!(
+            "<edges><edge id=\"ab\" from=\"a\" to=\"b\" numLanes=\"{lanes}\"/><edge id=\"bc\" from=\"b\" to=\"c\"/></edges>"
+        );
+        let link =
+            |lane| format!("<connection from=\"ab\" to=\"bc\" fromLane=\"{lane}\" toLane=\"0\"/>");
+        let links: String = (0..lanes).map(link).collect();
+        write("z.nod.xml", nodes.into());
+        write("z.edg.xml", edges);
+        write("z.con.xml", format!("<connections>{links}</connections>"));
+        let sources = ["-n", "z.nod.xml", "-e", "z.edg.xml", "-x", "z.con.xml", "-o", "z.net.xml"];
+        run("netconvert", &sources, folder.path()).unwrap();
+        let text = fs::read_to_string(root().join("scenarios/intersection.xml")).unwrap();
+        let (head, rest) = text.split_once("<routes>").unwrap();
+        let (_, tail) = rest.split_once("</nets>").unwrap();
+        let head = head.split_once("<agents ").unwrap().0;
+        let site = "<agents min=\"1\" max=\"4\" default=\"4\"/><routes><route id=\"r\" edges=\"ab bc\" arrivalPos=\"-20\"/></routes>\
+                    <nets><net file=\"z.net.xml\"><spawn route=\"r\" first=\"20\" spacing=\"10\" count=\"4\"/></net></nets>";
+        write(
+            "z.xml",
+            format!(
+                "{head}{site}{}",
+                tail.replace("</scenario>", &format!("{traffic}</scenario>"))
+            ),
+        );
+        let list = Scenario::check(&folder.path().join("z.xml")).list;
+        list.into_iter().filter(|finding| finding.kind == "zipper-junction").collect::<Vec<_>>()
+    };
+    assert_eq!(found(2, "").len(), 0);
+    let [alone] = &found(3, "")[..] else { panic!("one finding") };
+    assert!(alone.message.starts_with("the zipper junction `b` joins 3 lanes to one"), "{alone}");
+    let [mixed] = &found(3, "<traffic penetration=\"0.5\"/>")[..] else { panic!("one finding") };
+    assert_eq!([alone.severity, mixed.severity], [Severity::Warning, Severity::Error]);
+}
+
+/// On lanes that are three times as long for SUMO as on the ground, SUMO's gaps are shorter than
+/// vehicles.
+#[test]
+fn lanes_longer_than_their_shapes_are_named() {
+    let folder = folder();
+    let file = create(folder.path(), "site", Template::Cross, &SIZES).unwrap();
+    assert!(!findings(&file).contains("longer for SUMO"));
+    let net = folder.path().join("sumo_nets/site/site.net.xml");
+    let text = fs::read_to_string(&net).unwrap();
+    let edge = text.split("<edge id=\"east_out\"").nth(1).unwrap().split("</edge>").next().unwrap();
+    let length = edge.split("length=\"").nth(1).unwrap().split('"').next().unwrap();
+    let long = edge.replace(&format!("length=\"{length}\""), "length=\"300\"");
+    fs::write(&net, text.replace(edge, &long)).unwrap();
+    let scenario = fs::read_to_string(&file).unwrap();
+    fs::write(&file, scenario.replace("arrivalPos=\"-5\"", "arrivalPos=\"-30\"")).unwrap();
+    let said = findings(&file);
+    assert!(
+        said.contains(
+            "a lane of the routes is longer for SUMO than by shape, most of all `east_out_0`, 300 m"
+        ),
+        "{said}"
     );
 }

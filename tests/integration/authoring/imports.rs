@@ -6,11 +6,11 @@ use std::path::Path;
 use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::scenario::author::{Error, Map, State, build};
+use iwol_sumo::scenario::author::{Error, Map, State, build, import_configuration};
 use iwol_sumo::sumo::Hosting;
 
 use super::{errors, import, run};
-use crate::support::folder;
+use crate::support::{folder, root};
 
 /// A crossing of two streets in OpenStreetMap's XML, with a footway.
 const OSM: &str = r#"<osm version="0.6"><bounds minlat="52.0" minlon="13.0" maxlat="52.01" maxlon="13.01"/>
@@ -123,4 +123,96 @@ fn maps_without_a_site_are_refused() {
         0,
         "nothing is left behind"
     );
+}
+
+/// Lanes for pedestrians are no part of a scenario of cars, and no fault of the net.
+#[test]
+fn sidewalks_are_not_reported() {
+    let folder = folder();
+    let net = root().join("sumo_nets/pedestrians_cross/pedestrians_cross.net.xml");
+    let imported = import(folder.path(), "walk", Map::Net(&net), None, 4, false).unwrap();
+    assert!(!imported.notes.iter().any(|note| note.contains("closed to cars")), "{imported:?}");
+}
+
+/// A configuration of SUMO becomes a scenario with all of its demand, whose files stand beside the
+/// net, and the programs of signals in additional files.
+#[test]
+fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
+    let folder = folder();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let grid =
+        ["--grid", "--grid.number", "2", "--grid.attach-length", "100", "-j", "traffic_light"];
+    let grid = [&grid[..], &["--tls.guess", "-o", "grid.net.xml"]].concat();
+    run("netgenerate", &grid, folder.path()).unwrap();
+    let net = fs::read_to_string(folder.path().join("grid.net.xml")).unwrap();
+    let signals = net.matches("<tlLogic ").count();
+    let program = net.split("<tlLogic ").nth(1).unwrap().split("</tlLogic>").next().unwrap();
+    let program =
+        format!("<tlLogic {}</tlLogic>", program.replace("programID=\"0\"", "programID=\"own\""));
+    write("own programs.add.xml", &format!("<add>{program}</add>"));
+    write("shapes.add.xml", "<additional><poly id=\"p\"/></additional>");
+    write(
+        "types.add.xml",
+        "<add><vTypeDistribution id=\"DEFAULT_VEHTYPE\"><vType id=\"car\" probability=\"3\"/>\
+         <vType id=\"lorry\" vClass=\"truck\" probability=\"1\"/></vTypeDistribution>\
+         <busStop id=\"b\" lane=\"A0A1_0\" startPos=\"20\" endPos=\"40\"/></add>",
+    );
+    write(
+        "a.rou.xml",
+        "<routes><flow id=\"f\" begin=\"0\" end=\"9999\" period=\"3\" from=\"left0A0\" to=\"B0right0\"/>\
+         <flow id=\"g\" begin=\"0\" end=\"9999\" period=\"exp(0.2)\" from=\"bottom0A0\" to=\"A1top0\"/>\
+         <trip id=\"bus\" depart=\"620\" from=\"bottom0A0\" to=\"A1top0\"><stop busStop=\"b\" duration=\"5\"/></trip></routes>",
+    );
+    write(
+        "a.sumocfg",
+        "<configuration><input><net-file value=\"grid.net.xml\"/><route-files value=\"a.rou.xml\"/>\
+         <additional-files value=\"types.add.xml, shapes.add.xml,own programs.add.xml\"/></input>\
+         <time><begin value=\"600\"/><end value=\"0:20:00\"/><step-length value=\"0.2\"/></time>\
+         <processing><time-to-teleport value=\"60\"/></processing><report><verbose value=\"true\"/></report></configuration>",
+    );
+    let path = folder.path().join("a.sumocfg");
+    let imported = import_configuration(folder.path(), "city", &path, None).unwrap();
+    let notes = imported.notes.join("\n");
+    for expected in [
+        "options without effect here: time-to-teleport",
+        "without vehicles, types and routes: shapes.add.xml, own programs.add.xml",
+        "episodes last 300 s of 600 s",
+        "20 % of the cars are agents",
+    ] {
+        assert!(notes.contains(expected), "{notes}");
+    }
+    let checked = Scenario::check(&imported.scenario);
+    let said: Vec<String> = checked.list.iter().map(ToString::to_string).collect();
+    assert!(errors(&checked.list).is_empty() && !said.concat().contains("left out"), "{said:?}");
+    let scenario = checked.scenario.unwrap();
+    assert_eq!((scenario.traffic.begin.0, scenario.control.interval), (600.0, 0.2));
+    assert_eq!(
+        (scenario.termination.horizon, scenario.agents.types.clone()),
+        (1500, vec!["car".into()])
+    );
+    let net = fs::read_to_string(&scenario.nets[0].file).unwrap();
+    assert_eq!(
+        (net.matches("programID=\"own\"").count(), net.matches("<tlLogic ").count()),
+        (1, signals)
+    );
+    let trial =
+        Trial::run(&scenario, scenario.agents.default, 200, Seed::new(0), &Hosting::default());
+    assert_eq!(trial.unwrap().lost, 0);
+    // What is wrong with a configuration is said with its place, and nothing is left behind.
+    let refused = |text: &str| {
+        write("b.sumocfg", text);
+        let path = folder.path().join("b.sumocfg");
+        import_configuration(folder.path(), "other", &path, None).unwrap_err().to_string()
+    };
+    let input = "<configuration>\n<net-file value=\"grid.net.xml\"/>";
+    let lacks = refused("<configuration>\n</configuration>");
+    assert!(
+        lacks.contains("b.sumocfg:1:1: <configuration> lacks the element `net-file`"),
+        "{lacks}"
+    );
+    let time = refused(&format!("{input}<begin value=\"now\"/></configuration>"));
+    assert!(time.contains("b.sumocfg:2:37: `now` is not a valid value of <begin>"), "{time}");
+    let gone = refused(&format!("{input}<r value=\"gone.rou.xml\"/></configuration>"));
+    assert!(gone.starts_with("cannot read `") && gone.contains("gone.rou.xml"), "{gone}");
+    assert!(!folder.path().join("sumo_nets/other").exists());
 }
