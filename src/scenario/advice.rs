@@ -1,6 +1,8 @@
 //! Warnings about settings of a scenario that are allowed but probably not intended: one function
 //! per rule.
 
+mod signals;
+
 use std::collections::BTreeSet;
 
 use super::author::{State, state};
@@ -32,6 +34,7 @@ pub(super) fn advise(
         adviser.internal_lanes(net, map, &mut findings);
         adviser.limits(net, map, &mut findings);
     }
+    adviser.signals(&sound, &mut findings);
     for net in &scenario.nets {
         findings.extend(adviser.sources(net));
     }
@@ -85,8 +88,7 @@ impl Adviser<'_, '_, '_> {
         Finding::warning(kind, place, message, hint)
     }
 
-    /// Warns of junctions with rules that do not suit agents, which observe neither signals nor
-    /// signs.
+    /// Warns of junctions in which SUMO detects no collisions.
     fn junctions(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         let passed = |id: &str| {
             let inner = |path: &Path| {
@@ -106,14 +108,6 @@ impl Adviser<'_, '_, '_> {
                     format!("junction `{id}` is of type `{}`, where SUMO detects no collisions", junction.kind),
                     "set the type `priority` or `right_before_left` in the net's sources and run `iwol scenario build`; otherwise SUMO \
                      cannot confirm the collisions that this program detects",
-                ));
-            }
-            if junction.kind.starts_with("traffic_light") || junction.kind == "rail_signal" {
-                findings.push(self.net_warning(
-                    "signals",
-                    net,
-                    format!("junction `{id}` has signals, which agents do not observe"),
-                    "set the type `priority` in the net's sources, or netconvert's option `tls.discard-loaded`, and run `iwol scenario build`",
                 ));
             }
         }

@@ -1,15 +1,19 @@
 //! The driver that gives way first come, first served: when it brakes.
 
-use crate::env::driving::agents::{Slot, Status, Traffic};
+use crate::env::driving::agents::{NextSignal, Slot, Status, Traffic};
 use crate::env::driving::intention::Knowledge;
 use crate::env::driving::right_of_way::{Free, RESERVE, free, inherit, to_entry};
 use crate::env::driving::task::Task;
+use crate::sumo::net::Aspect;
 
 /// Braking that the rule plans with; less where the vehicle cannot brake as hard \[m/s²\].
 const BRAKING: f64 = 6.0;
 
+/// Distance that a vehicle keeps from the stop line of a signal \[m\].
+const BEFORE_LINE: f64 = 1.0;
+
 /// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
-/// ahead, or stands in its way.
+/// ahead, or stands in its way, or for a signal that is red, or yellow with room to stop.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.map.routes, traffic);
@@ -22,8 +26,14 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         let braking = own.speed * own.speed / (2.0 * brakes);
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
+        let stops = |next: NextSignal| {
+            let yellow = next.aspect == Aspect::Yellow && next.distance >= braking;
+            (next.aspect.is_red() || yellow)
+                && next.distance < braking + own.speed * control.interval + BEFORE_LINE
+        };
         own.status == Status::Active
-            && (space.distance < braking + RESERVE
+            && (own.next_signal.is_some_and(stops)
+                || space.distance < braking + RESERVE
                 || space.blocked < RESERVE
                 || outside && space.distance.min(space.slow) < f64::INFINITY)
     };

@@ -139,7 +139,10 @@ pub fn import(root: &Path, name: &str, map: Map, choices: &Choices) -> Result<Im
             "Vehicles pass the junction {} of an imported map.",
             proposal.candidate.junction
         );
+        let has_signals =
+            proposal.paths.iter().any(|path| !net.signals_on(path).is_empty());
         let scenario = layout.scenario(Site {
+            has_signals,
             description,
             routes: proposal.routes,
             paths: proposal.paths,

@@ -73,6 +73,7 @@ fn config(slots: u32) -> SimulationConfig {
         timeout: Duration::from_secs(60),
         audit: true,
         others: None,
+        traffic_lights: Vec::new(),
         vehicle_types: vec![VehicleType {
             class: None,
             id: "car".into(),
