@@ -43,7 +43,7 @@ pub(super) fn advise(
     findings.extend(adviser.sight());
     findings.extend(adviser.reward());
     adviser.unused(&mut findings);
-    adviser.without_effect(&mut findings);
+    adviser.without_effect(&sound, &mut findings);
     findings.extend(unused(demand));
     findings.extend(left_out(&sound));
     findings.extend(adviser.outside(&sound, demand));
@@ -377,8 +377,10 @@ impl Adviser<'_, '_, '_> {
     }
 
     /// Warns of attributes that other values of the scenario make ineffective.
-    fn without_effect(&self, findings: &mut Vec<Finding>) {
+    fn without_effect(&self, maps: &[(&Net, &Map)], findings: &mut Vec<Finding>) {
         let (s, o) = (self.scenario, &self.scenario.observation);
+        let signals = |(_, map): &(&Net, &Map)| signals::on_routes(map).next().is_some();
+        let free = !maps.is_empty() && !maps.iter().any(signals);
         let follows = s.control.steering.is_none();
         let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
         let rules = [
@@ -387,6 +389,8 @@ impl Adviser<'_, '_, '_> {
             ("termination", "brokenLines", follows, "vehicles do not steer"),
             ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
             ("observation", "foresight", o.encounters == 0, "encounters is 0"),
+            ("observation", "signals", free, "no signal rules a route"),
+            ("reward", "redLight", free, "no signal rules a route"),
             ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
             ("jitter", "longitudinal", placeless, "there are no spawn places"),
             ("jitter", "lateral", placeless, "there are no spawn places"),

@@ -215,3 +215,6 @@ fn launch(fleet: &Fleet) -> Result<(Process, Client, Version), Error> {
         ..Options::default()
     })
 }
+
+#[cfg(test)]
+mod tests;

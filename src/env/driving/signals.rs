@@ -59,7 +59,7 @@ impl TrafficLights {
 
     /// Whether the states of all traffic lights follow from the time alone.
     pub(super) fn are_static(&self) -> bool {
-        self.lights.iter().all(TrafficLight::is_static)
+        self.lights.iter().all(|light| light.is_static() || light.kind == "off")
     }
 
     /// Returns the number of stop lines of a route that a vehicle has passed with its front.

@@ -141,6 +141,26 @@ mod tests {
         assert!(!giving_way(&task, &traffic)[0]);
     }
 
+    #[test]
+    fn a_vehicle_stops_for_a_signal_and_has_no_priority_before_red() {
+        let task = task();
+        let mut traffic = traffic(&task, &[("west_straight", 19.0), ("south_straight", 12.0)]);
+        let say = |traffic: &mut Traffic, speed: f64, distance: f64, aspect: Aspect| {
+            traffic.slots[1].speed = speed;
+            traffic.slots[1].next_signal = Some(NextSignal { distance, aspect, to_change: None });
+            assign(traffic, &task.map.routes, None, 20.0);
+            (traffic.slots[1].priority, giving_way(&task, traffic)[1])
+        };
+        assert_eq!(say(&mut traffic, 0.0, 0.5, Aspect::Red), (0, true));
+        assert_eq!(traffic.slots[0].priority, 1, "the other vehicle does not wait for it");
+        traffic.slots[0].status = Status::Empty;
+        assert_eq!(say(&mut traffic, 0.0, 0.5, Aspect::Priority), (2, false));
+        // The vehicle needs 8.3 m to stop.
+        assert_eq!(say(&mut traffic, 10.0, 8.0, Aspect::Yellow), (2, false), "no room to stop");
+        assert_eq!(say(&mut traffic, 10.0, 9.0, Aspect::Yellow), (2, true));
+        assert_eq!(say(&mut traffic, 10.0, 30.0, Aspect::Red), (2, false), "beyond the conflict");
+    }
+
     proptest! {
         /// Of two vehicles, the one with priority gives way only where the other blocks it or is
         /// ahead.

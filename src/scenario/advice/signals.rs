@@ -5,14 +5,19 @@ use std::collections::BTreeSet;
 use super::{Adviser, Finding, Map, Net};
 use crate::sumo::net::shorten;
 
+/// Returns the traffic light of each signal on the routes of agents.
+pub(super) fn on_routes(map: &Map) -> impl Iterator<Item = usize> + '_ {
+    let signals = map.paths.iter().flat_map(|path| map.net.signals_on(path));
+    signals.map(|(_, signal)| signal.traffic_light)
+}
+
 impl Adviser<'_, '_, '_> {
     /// Warns of signals that agents do not observe or need not obey, and of programs of traffic
     /// lights about which agents know less, or which cost more time.
     pub(super) fn signals(&self, maps: &[(&Net, &Map)], findings: &mut Vec<Finding>) {
         let mut ruled = false;
         for (net, map) in maps {
-            let signals = map.paths.iter().flat_map(|path| map.net.signals_on(path));
-            let lights: BTreeSet<usize> = signals.map(|(_, signal)| signal.traffic_light).collect();
+            let lights: BTreeSet<usize> = on_routes(map).collect();
             ruled |= !lights.is_empty();
             for light in lights.into_iter().map(|light| &map.net.traffic_lights[light]) {
                 let id = shorten(&light.id);

@@ -12,13 +12,14 @@ use super::{Error, netconvert};
 use crate::record::write_atomic;
 use crate::sumo::net::{Net, Path as LanePath, cut, did_you_mean, nearest, shorten};
 
-/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and priority rules
-/// instead of traffic lights, which agents do not observe.
-const OSM_OPTIONS: [(&str, &str); 7] = [
+/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and traffic lights at
+/// junctions, also where the map has their signals at the stop lines.
+const OSM_OPTIONS: [(&str, &str); 8] = [
     ("geometry.remove", "true"),
     ("roundabouts.guess", "true"),
     ("junctions.join", "true"),
-    ("tls.discard-loaded", "true"),
+    ("tls.guess-signals", "true"),
+    ("tls.join", "true"),
     ("keep-edges.by-vclass", "passenger"),
     ("remove-edges.isolated", "true"),
     ("no-turnarounds", "true"),
