@@ -60,7 +60,8 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     let has_signals = !task.map.traffic_lights.lights.is_empty();
     for (route, lines) in task.map.routes.iter().zip(&task.map.traffic_lights.lines) {
         for line in lines {
-            let ([x, y], heading) = route.path.at(line.at);
+            // The direction is that of the lane, not of the turn behind the line.
+            let ([x, y], heading) = route.path.at(line.at - 0.1);
             let width = route.path.widths[route.path.locate(line.at).1];
             picture.line(&across([x, y], heading, width), 2.0 * LINE, SIGNAL);
         }

@@ -9,7 +9,7 @@
 use super::agents::{NextSignal, Slot, Status};
 use super::routes::RouteGeometry;
 use crate::rng::{self, Seed};
-use crate::sumo::net::{Aspect, Net, Path, TrafficLight};
+use crate::sumo::net::{Aspect, Net, Path, Signal, TrafficLight};
 use crate::sumo::{Command, Snapshot, TrafficLightState};
 
 /// Longest time of the programs after which an episode begins \[ms\].
@@ -38,10 +38,13 @@ pub struct StopLine {
 impl TrafficLights {
     /// Finds the signals of `routes`, which lie along `lanes`.
     pub(super) fn new(net: &Net, lanes: &[Path], routes: &[RouteGeometry]) -> Self {
+        // SUMO 1.15 crashes when it is asked about a program that is off.
+        let is_on =
+            |(_, signal): &(usize, Signal)| net.traffic_lights[signal.traffic_light].kind != "off";
         let mut used: Vec<usize> = Vec::new();
         let of_route = |(path, route): (&Path, &RouteGeometry)| {
             let ends: Vec<f64> = path.lane_stretches().map(|(_, _, end)| end).collect();
-            let signals = net.signals_on(path).into_iter();
+            let signals = net.signals_on(path).into_iter().filter(is_on);
             let line = signals.map(|(lane, signal)| {
                 let known = used.iter().position(|&light| light == signal.traffic_light);
                 let light = known.unwrap_or_else(|| {
@@ -59,7 +62,7 @@ impl TrafficLights {
 
     /// Whether the states of all traffic lights follow from the time alone.
     pub(super) fn are_static(&self) -> bool {
-        self.lights.iter().all(|light| light.is_static() || light.kind == "off")
+        self.lights.iter().all(TrafficLight::is_static)
     }
 
     /// Returns the number of stop lines of a route that a vehicle has passed with its front.

@@ -120,7 +120,7 @@ impl Reader<'_, '_> {
             let to = self.lane_end(node, &net, "to", "toLane")?;
             let dir = node.attribute("dir").unwrap_or_default().to_owned();
             net.leaving[from].push(net.connections.len());
-            let signal = self.signal(node, &net)?;
+            let signal = self.signal(node, &mut net)?;
             let classes = self.classes(node)?;
             net.connections.push(Connection { from, to, via, dir, signal, classes });
         }
@@ -182,13 +182,25 @@ impl Reader<'_, '_> {
         })
     }
 
-    /// Returns the signal of a connection.
-    fn signal(&self, node: Node, net: &Net) -> Result<Option<Signal>, NetError> {
+    /// Returns the signal of a connection. At rail crossings and rail signals, SUMO makes a traffic
+    /// light of the junction itself, and gives connections without a signal the index -1.
+    fn signal(&self, node: Node, net: &mut Net) -> Result<Option<Signal>, NetError> {
         let Some(id) = node.attribute("tl").filter(|id| !id.is_empty()) else { return Ok(None) };
-        let ids = net.traffic_lights.iter().map(|light| light.id.as_str());
-        let traffic_light = ids.clone().position(|other| other == id);
-        let traffic_light = traffic_light.ok_or_else(|| self.reference(node, "tl", id, ids))?;
+        if node.attribute("linkIndex") == Some("-1") {
+            return Ok(None);
+        }
         let index = self.integer(node, "linkIndex")? as usize;
+        let known = net.traffic_lights.iter().position(|light| light.id == id);
+        let rail = |junction: &&Junction| junction.id == id && junction.kind.starts_with("rail_");
+        if let (None, Some(junction)) = (known, net.junctions.iter().find(rail)) {
+            let (id, kind) = (id.to_owned(), junction.kind.clone());
+            net.traffic_lights.push(TrafficLight { id, kind, offset: 0, phases: Vec::new() });
+            return Ok(Some(Signal { traffic_light: net.traffic_lights.len() - 1, index }));
+        }
+        let traffic_light = known.ok_or_else(|| {
+            let ids = net.traffic_lights.iter().map(|light| light.id.as_str());
+            self.reference(node, "tl", id, ids)
+        })?;
         let phases = &net.traffic_lights[traffic_light].phases;
         if phases.iter().any(|phase| phase.state.len() <= index) {
             let allowed = "the place of a letter in every state of the traffic light";

@@ -184,4 +184,63 @@ mod tests {
         light.kind = "actuated".to_owned();
         assert_eq!(light.until_change(0, 400, 0), None);
     }
+
+    const NET: &str = "sumo_nets/signals/signals.net.xml";
+
+    /// Reads the shipped net with other texts.
+    fn read(changes: &[(&str, &str)]) -> Result<Net, String> {
+        let mut text = std::fs::read_to_string(NET).unwrap();
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replace(from, to);
+        }
+        Net::parse(&text, std::path::Path::new(NET)).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn connections_have_their_signals() {
+        let net = read(&[]).unwrap();
+        assert_eq!(net.traffic_lights.len(), 1);
+        assert!(net.traffic_lights[0].is_static() && net.traffic_lights[0].cycle() == 40_000);
+        let path = net.route_path(&["west_in", "north_out"].map(String::from)).unwrap();
+        // The left turn has two lanes over the junction, and one signal before them.
+        assert_eq!(path.lanes.len(), 4);
+        assert_eq!(net.signals_on(&path), [(0, Signal { traffic_light: 0, index: 11 })]);
+    }
+
+    #[test]
+    fn the_last_program_counts() {
+        let more = "</tlLogic><tlLogic id=\"centre\" programID=\"b\" offset=\"1.5\" type=\"actuated\">\
+                    <phase minDur=\"7\" state=\"GGGGGGGGGGGG\" next=\"0\"/></tlLogic>";
+        let net = read(&[("</tlLogic>", more)]).unwrap();
+        let [light] = &net.traffic_lights[..] else { panic!("{:?}", net.traffic_lights) };
+        assert_eq!((light.kind.as_str(), light.offset), ("actuated", 1500));
+        let state = "GGGGGGGGGGGG".to_owned();
+        assert_eq!(light.phases, [Phase { duration: 7000, state, next: Some(0) }]);
+        let off = "</tlLogic><tlLogic id=\"centre\" programID=\"off\" type=\"static\"/>";
+        assert_eq!(read(&[("</tlLogic>", off)]).unwrap().traffic_lights[0].kind, "off");
+    }
+
+    #[test]
+    fn rail_crossings_make_their_own_traffic_lights() {
+        let light = [("<tlLogic id=\"centre\"", "<tlLogic id=\"other\"")];
+        let unknown = read(&light).unwrap_err();
+        assert!(unknown.contains("tl=`centre` names nothing in this net"), "{unknown}");
+        let rail = ("type=\"traffic_light\"", "type=\"rail_crossing\"");
+        let net = read(&[light[0], rail, ("linkIndex=\"3\"", "linkIndex=\"-1\"")]).unwrap();
+        assert_eq!(net.traffic_lights[1].kind, "rail_crossing");
+        let signals = net.connections.iter().filter(|c| c.signal.is_some()).count();
+        assert_eq!(signals, 11, "the index -1 is no signal");
+    }
+
+    #[test]
+    fn programs_that_do_not_fit_are_refused() {
+        let refused = |from: &str, to: &str| read(&[(from, to)]).unwrap_err();
+        let short = refused("state=\"rrrrrrrrrrrr\"", "state=\"rrrrrrrrrrr\"");
+        assert!(short.contains("`11` is not a valid linkIndex"), "{short}");
+        let next = refused("state=\"rrrrrrrrrrrr\"", "state=\"rrrrrrrrrrrr\" next=\"6\"");
+        assert!(next.contains("`6` is not a valid next of <phase>"), "{next}");
+        let short = refused("duration=\"2\"", "duration=\"0\"");
+        assert!(short.contains("`0` is not a valid duration of <phase>"), "{short}");
+    }
 }
