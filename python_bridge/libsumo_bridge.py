@@ -50,6 +50,9 @@ arrived_ids = native.simulation_getArrivedIDList
 arrived_persons = native.simulation_getArrivedPersonIDList
 persons_now = native.person_getIDList
 collisions_now = native.simulation_getCollisions
+light_state = native.trafficlight_getRedYellowGreenState
+light_phase = native.trafficlight_getPhase
+light_switch = native.trafficlight_getNextSwitch
 time_now = native.simulation_getTime
 take_step = native.simulation_step
 
@@ -108,14 +111,14 @@ def is_unknown(vehicle):
     return False
 
 
-def step(runs, vehicles, others, persons):
+def step(runs, vehicles, others, persons, lights):
     """Carries out `runs` as `carry_out` does, and takes one step.
 
     Returns the time, the vehicles and persons that arrived or were refused and the vehicles that libsumo dropped when
     they were to enter the road, the distances and speeds of the other
-    `vehicles` in their order, the pairs of colliding vehicles, the refusals, if there are `others` that SUMO
+    `vehicles` in their order, the pairs of colliding vehicles and the refusals, if there are `others` that SUMO
     drives, positions, angles, lanes and time losses of the vehicles, and position, angle and speed of each of the `persons`,
-    or None where there is none of that name.
+    or None where there is none of that name, and state, phase and time of the next switch of each of the traffic `lights`.
     """
     refusals, unknown = carry_out(runs)
     take_step(0.0)
@@ -144,4 +147,5 @@ def step(runs, vehicles, others, persons):
             else None
             for name in persons
         ]
-    return time_now(), [list(unknown), dropped], distances, speeds, collisions, refusals, bodies, walkers
+    signals = [(light_state(name), light_phase(name), light_switch(name)) for name in lights]
+    return time_now(), [list(unknown), dropped], distances, speeds, (collisions, refusals), bodies, walkers, signals

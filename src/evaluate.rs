@@ -253,6 +253,7 @@ mod tests {
             distance_km: 0.5,
             crashes: 0,
             loitering: 0.0,
+            red_lights: None,
             audit: Audit::default(),
             failures: Failures::default(),
             flow: None,

@@ -125,6 +125,9 @@ metrics! {
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
             "Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at \
              most 15 m from their finish and with nobody ahead.";
+        red_lights: Option<Estimate> = |e| e.red_lights(),
+            "red light violations", "red signals passed per agent", FINE_COUNT, Lower, InFigures,
+            "Red signals that an agent passes, in tasks with signals.";
         km_per_crash: Option<KmPerCrash> = |e| e.km_per_crash(),
             "km per crash", "km per crash", KILOMETRES, Higher, InEvaluations,
             "Distance that the agents drove per crash, over all episodes together, with the \
@@ -247,6 +250,11 @@ impl Episodes<'_> {
 
     fn mean(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
         mean(self.records, |_| true, of).unwrap_or_default()
+    }
+
+    fn red_lights(&self) -> Option<Estimate> {
+        let signalised: Vec<f64> = self.records.iter().filter_map(|r| r.red_lights).collect();
+        Estimate::t(&signalised)
     }
 
     fn km_per_crash(&self) -> Option<KmPerCrash> {

@@ -172,6 +172,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
         timeout: Duration::from_secs(60),
         audit: true,
         others: None,
+        traffic_lights: Vec::new(),
     };
     let begin = Instant::now();
     let mut simulation = TraciSimulation::start(config)?;

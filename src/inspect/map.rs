@@ -16,6 +16,7 @@ const FINISH: Rgb = [0, 158, 115];
 const MEETING: Rgb = [213, 94, 0];
 /// Colours of routes; they differ from all other colours of the map.
 const ROUTES: [Rgb; 4] = [[0, 114, 178], [230, 159, 0], [86, 180, 233], [120, 94, 200]];
+const SIGNAL: Rgb = [204, 43, 43];
 const RADIO: Rgb = [204, 121, 167];
 /// Width of lines, and radius of conflict points \[m\].
 const LINE: f64 = 0.35;
@@ -56,6 +57,15 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
             FINISH,
         );
     }
+    let has_signals = !task.map.traffic_lights.lights.is_empty();
+    for (route, lines) in task.map.routes.iter().zip(&task.map.traffic_lights.lines) {
+        for line in lines {
+            // The direction is that of the lane, not of the turn behind the line.
+            let ([x, y], heading) = route.path.at(line.at - 0.1);
+            let width = route.path.widths[route.path.locate(line.at).1];
+            picture.line(&across([x, y], heading, width), 2.0 * LINE, SIGNAL);
+        }
+    }
     let pose = |place: &SpawnPlace| {
         let path = &task.map.routes[place.routes[0]].path;
         let ([x, y], heading) = path.at(path.arc(0, place.pos).unwrap_or(0.0));
@@ -77,6 +87,9 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     picture.explain(ROUTES[0], "routes, in colours in turn");
     picture.explain(FINISH, "finish of a route");
     picture.explain(MEETING, "where routes cross or merge");
+    if has_signals {
+        picture.explain(SIGNAL, "stop lines of signals");
+    }
     picture.explain(
         RADIO,
         format!("radio range of one vehicle, {} m", task.scenario.communication.range),

@@ -72,8 +72,21 @@ pub struct Recording {
     /// wreck 0 or 1; empty in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub others: Vec<Vec<[f64; 6]>>,
+    /// Signals at the ends of lanes; empty in tasks without signals on their routes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub signals: Vec<Signal>,
     /// Metrics of the episode, by name.
     pub summary: BTreeMap<String, f64>,
+}
+
+/// A signal.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Signal {
+    /// The part of the stop line to which the signal applies; the connections from a lane share the
+    /// lane's stop line \[m\].
+    pub line: [[f64; 2]; 2],
+    /// What the signal says at each step, a letter of SUMO's states each.
+    pub states: String,
 }
 
 /// Length and width \[m\].
@@ -163,6 +176,7 @@ impl Recording {
             && bytes(&recording.status) == rows
             && recording.edges.as_ref().is_none_or(|text| bytes(text) == edges)
             && (recording.others.is_empty() || recording.others.len() == recording.steps)
+            && recording.signals.iter().all(|signal| signal.states.len() == recording.steps)
             && !recording.lanes.is_empty()
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
         if rows == 0 || !whole {
@@ -317,6 +331,7 @@ mod tests {
             status: STANDARD.encode([1, 2, 3, 0]),
             edges: Some(STANDARD.encode([0b10, 0, 0, 0b01])),
             others: vec![vec![[4.0, 0.0, 0.0, 7.1, 2.4, 0.0]], Vec::new()],
+            signals: vec![Signal { line: [[9.0, 1.6], [9.0, -1.6]], states: "ry".to_owned() }],
             summary: BTreeMap::new(),
         }
     }
@@ -346,6 +361,7 @@ mod tests {
             ("\"steps\":2", "\"steps\":3"),
             ("{", "["),
             ("\"agents\":2", "\"agents\":0"),
+            ("\"ry\"", "\"r\""),
         ] {
             std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
             let error = Recording::load(&path).unwrap_err();

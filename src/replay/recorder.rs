@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::{Column, Error, FORMAT, Lane, Recording, Size, Status};
+use super::{Column, Error, FORMAT, Lane, Recording, Signal, Size, Status};
 use crate::env::{EpisodeRecord, Outcome, Task, World};
 use crate::sumo::net::{EdgeFunction, Net};
 
@@ -46,6 +46,8 @@ struct Rows {
     status: Vec<u8>,
     edges: Vec<u8>,
     others: Vec<Vec<[f64; 6]>>,
+    /// States of each traffic light, step by step.
+    lights: Vec<Vec<String>>,
     /// Number of steps since each agent arrived.
     arrived: Vec<u32>,
     /// Whether the policy has a communication graph.
@@ -123,6 +125,10 @@ impl Recorder {
                 ]
             });
             rows.others.push(row.collect());
+        }
+        rows.lights.resize(world.traffic_lights().count(), Vec::new());
+        for (light, state) in rows.lights.iter_mut().zip(world.traffic_lights()) {
+            light.push(state.to_owned());
         }
         let comm = &world.frame().comm;
         rows.graph = !diagnostics.graph.is_empty();
@@ -242,6 +248,7 @@ impl Recorder {
             status: STANDARD.encode(&self.rows.status),
             edges: Some(STANDARD.encode(&self.rows.edges)),
             others: self.rows.others,
+            signals: signals(task, &net, &self.rows.lights),
             summary: summary
                 .into_iter()
                 .flatten()
@@ -249,4 +256,40 @@ impl Recorder {
                 .collect(),
         }))
     }
+}
+
+/// Returns the signals of the traffic lights in `lights`, which holds their states step by step in
+/// the task's order. The signals of one lane lie side by side, from the right.
+fn signals(task: &Task, net: &Net, lights: &[Vec<String>]) -> Vec<Signal> {
+    let known = |id: &str| task.map.traffic_lights.lights.iter().position(|light| light.id == id);
+    let mut all = Vec::new();
+    for (index, lane) in net.lanes.iter().enumerate() {
+        let mut own: Vec<(usize, usize)> = net
+            .connections_from(index)
+            .filter(|_| net.edges[lane.edge].function == EdgeFunction::Normal)
+            .filter_map(|connection| connection.signal)
+            .filter_map(|s| Some((known(&net.traffic_lights[s.traffic_light].id)?, s.index)))
+            .collect();
+        own.sort_unstable();
+        own.dedup();
+        let [.., before, end] = lane.shape[..] else { continue };
+        let (dx, dy) = (end[0] - before[0], end[1] - before[1]);
+        let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
+        // A point of the stop line, from the right end (0) to the left end (1).
+        let at = |share: f64| {
+            let left = (share - 0.5) * lane.width / length;
+            [end[0] - dy * left, end[1] + dx * left].map(|v| (100.0 * v).round() / 100.0)
+        };
+        let count = own.len() as f64;
+        all.extend(own.into_iter().zip(0..).map(|((light, signal), place)| {
+            Signal {
+                line: [at(f64::from(place) / count), at(f64::from(place + 1) / count)],
+                states: lights[light]
+                    .iter()
+                    .map(|state| state.as_bytes().get(signal).map_or('O', |&letter| letter.into()))
+                    .collect(),
+            }
+        }));
+    }
+    all
 }

@@ -61,6 +61,19 @@ impl Recording {
                 lane.width
             );
         }
+        for signal in &self.signals {
+            let color = match signal.states.as_bytes()[step] {
+                b'r' | b'u' => "#cc2b2b",
+                b'y' | b'Y' | b's' => "#e0a800",
+                b'g' | b'G' => "#12933f",
+                _ => OTHER,
+            };
+            let _ = writeln!(
+                svg,
+                "<path d=\"{}\" stroke=\"{color}\" stroke-linecap=\"butt\" stroke-width=\".8\"/>",
+                path(&signal.line)
+            );
+        }
         let vehicles = self.vehicles(step);
         // As in the player: lines of messages are solid, those of mere range dashed and grey.
         let link = if self.communicates {
@@ -160,6 +173,7 @@ mod tests {
         assert!(svg.contains("stroke=\"#000\"") && svg.contains("a&lt;/script&gt;"));
         // The picture shows two agents and one vehicle of the background traffic.
         assert_eq!(recording().still(0).matches("<rect").count(), 5);
+        assert!(svg.contains("#e0a800") && recording().still(0).contains("#cc2b2b"), "signals");
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
         roxmltree::Document::parse(&svg).expect("well-formed");
     }

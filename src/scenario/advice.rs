@@ -2,6 +2,7 @@
 //! per rule.
 
 mod driver;
+mod signals;
 
 use std::collections::BTreeSet;
 
@@ -36,6 +37,7 @@ pub(super) fn advise(
         findings.extend(adviser.stretched(net, map));
         adviser.limits(net, map, &mut findings);
     }
+    adviser.signals(&sound, &mut findings);
     for net in &scenario.nets {
         findings.extend(adviser.sources(net));
     }
@@ -44,7 +46,7 @@ pub(super) fn advise(
     findings.extend(adviser.sight());
     findings.extend(adviser.reward());
     adviser.unused(&mut findings);
-    adviser.without_effect(&mut findings);
+    adviser.without_effect(&sound, &mut findings);
     findings.extend(unused(demand));
     findings.extend(left_out(&sound));
     findings.extend(adviser.outside(&sound, demand));
@@ -89,8 +91,7 @@ impl Adviser<'_, '_, '_> {
         Finding::warning(kind, place, message, hint)
     }
 
-    /// Warns of junctions with rules that do not suit agents, which observe neither signals nor
-    /// signs.
+    /// Warns of junctions in which SUMO detects no collisions.
     fn junctions(&self, net: &Net, map: &Map, findings: &mut Vec<Finding>) {
         let passed = |id: &str| {
             let inner = |path: &Path| {
@@ -110,14 +111,6 @@ impl Adviser<'_, '_, '_> {
                     format!("junction `{id}` is of type `{}`, where SUMO detects no collisions", junction.kind),
                     "set the type `priority` or `right_before_left` in the net's sources and run `iwol scenario build`; otherwise SUMO \
                      cannot confirm the collisions that this program detects",
-                ));
-            }
-            if junction.kind.starts_with("traffic_light") || junction.kind == "rail_signal" {
-                findings.push(self.net_warning(
-                    "signals",
-                    net,
-                    format!("junction `{id}` has signals, which agents do not observe"),
-                    "set the type `priority` in the net's sources, or netconvert's option `tls.discard-loaded`, and run `iwol scenario build`",
                 ));
             }
         }
@@ -387,8 +380,10 @@ impl Adviser<'_, '_, '_> {
     }
 
     /// Warns of attributes that other values of the scenario make ineffective.
-    fn without_effect(&self, findings: &mut Vec<Finding>) {
+    fn without_effect(&self, maps: &[(&Net, &Map)], findings: &mut Vec<Finding>) {
         let (s, o) = (self.scenario, &self.scenario.observation);
+        let signals = |(_, map): &(&Net, &Map)| signals::on_routes(map).next().is_some();
+        let free = !maps.is_empty() && !maps.iter().any(signals);
         let follows = s.control.steering.is_none();
         let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
         let rules = [
@@ -397,6 +392,8 @@ impl Adviser<'_, '_, '_> {
             ("termination", "brokenLines", follows, "vehicles do not steer"),
             ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
             ("observation", "foresight", o.encounters == 0, "encounters is 0"),
+            ("observation", "signals", free, "no signal rules a route"),
+            ("reward", "redLight", free, "no signal rules a route"),
             ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
             ("jitter", "longitudinal", placeless, "there are no spawn places"),
             ("jitter", "lateral", placeless, "there are no spawn places"),

@@ -252,6 +252,8 @@ element! {
         pub out_of_road: f64,
         /// Reward of the step in which the agent crashes, in place of all other terms.
         pub crash: f64,
+        /// Added to the reward of a step in which the agent passes a red signal.
+        pub red_light: f64,
         /// Weight of each other agent's advantage in training, 0 to 1; the agent's own advantage
         /// has weight 1.
         pub cooperation: f64,

@@ -95,6 +95,9 @@ element! {
         /// Distance up to which an agent observes how close its sides are to the lines that it must
         /// not touch \[m\]. 0: not observed.
         pub borders: f64,
+        /// Whether agents observe the next signal on their routes. It has no effect where no signal
+        /// rules a route.
+        pub signals: bool,
         /// Lidar, which measures distances to vehicles and road borders.
         pub lidar: Lidar,
     }

@@ -10,8 +10,8 @@ mod commands;
 use std::{collections::HashMap, fs::File, sync::Arc};
 
 use super::{
-    Body, Collision, Dropped, Error, Route, SimulationConfig, Snapshot, VehicleState,
-    constants as c,
+    Body, Collision, Dropped, Error, Route, SimulationConfig, Snapshot, TrafficLightState,
+    VehicleState, constants as c,
     net::{Net, tiled_id},
 };
 use arguments::{in_memory, write_tiles};
@@ -52,6 +52,10 @@ pub(super) struct Fleet {
     routes: Vec<Route>,
     /// Id of one junction of each world; empty for a net without junctions.
     pub(super) junctions: Vec<String>,
+    /// Names of the traffic lights, `[worlds * traffic lights]`.
+    pub(super) traffic_lights: Vec<String>,
+    /// Indices of these names.
+    light_by_name: HashMap<String, usize>,
     /// Radius around a junction that covers all of its world and nothing of any other world \[m\].
     pub(super) diagonal: f64,
     offsets: Vec<[f64; 2]>,
@@ -105,6 +109,8 @@ impl Fleet {
             ..*route
         };
         let junction = net.junctions.first();
+        let lights = |world| config.traffic_lights.iter().map(move |id| named(world, id));
+        let traffic_lights: Vec<String> = (0..worlds).flat_map(lights).collect();
         Ok(Fleet {
             names: (0..worlds).flat_map(|w| (0..slots).map(move |s| format!("w{w}s{s}"))).collect(),
             routes: (0..worlds)
@@ -113,6 +119,7 @@ impl Fleet {
             junctions: junction
                 .map(|j| (0..worlds).map(|world| named(world, &j.id)).collect())
                 .unwrap_or_default(),
+            light_by_name: traffic_lights.iter().cloned().zip(0..).collect(),
             diagonal: (high[0] - low[0]).hypot(high[1] - low[1]).max(0.0),
             lanes: if config.others.is_some() { lanes_by_id(&net) } else { Default::default() },
             offsets,
@@ -124,8 +131,10 @@ impl Fleet {
             snapshot: Snapshot {
                 vehicles: vec![None; vehicles],
                 bodies: vec![None; bodies],
+                traffic_lights: vec![TrafficLightState::default(); traffic_lights.len()],
                 ..Snapshot::default()
             },
+            traffic_lights,
             config,
         })
     }
@@ -200,6 +209,12 @@ impl Fleet {
         };
         let id = if self.config.worlds == 1 { id } else { id.split_once('.')?.1 };
         self.lanes[internal].get(id).copied()
+    }
+
+    /// Returns the state of the traffic light of this name, to be recorded.
+    pub(super) fn traffic_light(&mut self, name: &str) -> Option<&mut TrafficLightState> {
+        let light = *self.light_by_name.get(name)?;
+        self.snapshot.traffic_lights.get_mut(light)
     }
 
     /// Records the pose and the speed of a pedestrian, with arguments as in [`Fleet::body`].

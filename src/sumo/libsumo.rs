@@ -15,8 +15,8 @@ use pyo3::{
 };
 
 use super::{
-    Batch, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot, Value,
-    constants as c, fleet::Fleet,
+    Batch, Command, Error, Meter, Renewal, Simulation, SimulationConfig, Snapshot,
+    TrafficLightState, Value, constants as c, fleet::Fleet,
 };
 pub use module::LibsumoModule;
 
@@ -56,6 +56,8 @@ pub struct LibsumoSimulation {
     /// Pedestrians whose state is read after each step, in the same two forms.
     on_foot: Vec<usize>,
     asked_on_foot: Py<PyList>,
+    /// Names of the traffic lights as a Python list.
+    traffic_lights: Py<PyList>,
     batch: Batch,
     awaiting: bool,
     exchanges: u64,
@@ -79,7 +81,9 @@ impl LibsumoSimulation {
             let module = loaded.bridge(py).clone();
             let step = module.getattr("step").map_err(importing)?.unbind();
             let names = fleet.names.iter().map(|name| PyString::new(py, name).unbind()).collect();
+            let lights = PyList::new(py, &fleet.traffic_lights).map_err(importing)?;
             let mut simulation = LibsumoSimulation {
+                traffic_lights: lights.unbind(),
                 fleet,
                 module: module.unbind(),
                 step,
@@ -145,20 +149,23 @@ impl LibsumoSimulation {
         type Pedestrians = Vec<Option<([f64; 2], f64, f64)>>;
         type Collisions = Vec<(String, String)>;
         type Absent = [Vec<String>; 2];
-        type Reply = (f64, Absent, Vec<f64>, Vec<f64>, Collisions, Refusals, Bodies, Pedestrians);
+        type Refused = (Collisions, Refusals);
+        type Lights = Vec<(String, i32, f64)>;
+        type Reply = (f64, Absent, Vec<f64>, Vec<f64>, Refused, Bodies, Pedestrians, Lights);
         self.ask(py).map_err(|e| failed("list the vehicles", py, &e))?;
         let others = self.fleet.config().others.is_some();
-        let asked = (self.runs(py)?, &self.asked_names, others, &self.asked_on_foot);
+        let asked =
+            (self.runs(py)?, &self.asked_names, others, &self.asked_on_foot, &self.traffic_lights);
         let reply = self.step.bind(py).call1(asked);
         let (
             time,
             [gone, dropped],
             distances,
             speeds,
-            collisions,
-            refusals,
+            (collisions, refusals),
             (positions, angles, lanes, losses),
             pedestrians,
+            lights,
         ) = reply.and_then(|reply| reply.extract::<Reply>()).map_err(|e| failed("step", py, &e))?;
         self.fleet.begin_step();
         self.fleet.snapshot.time = time;
@@ -185,6 +192,11 @@ impl LibsumoSimulation {
             if let Some((position, angle, speed)) = found {
                 self.fleet.pedestrian(person, position, angle, speed);
             }
+        }
+        for (light, (state, phase, next_switch)) in
+            self.fleet.snapshot.traffic_lights.iter_mut().zip(lights)
+        {
+            *light = TrafficLightState { state, phase, next_switch };
         }
         for (collider, victim) in &collisions {
             self.fleet.collision(collider, victim);

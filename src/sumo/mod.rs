@@ -38,7 +38,8 @@ pub use process::{Installation, also_look_in, find_program};
 pub use replies::{Replies, Reports, StepReply};
 pub use simulation::{
     BackgroundTraffic, Body, Collision, Command, Departure, Dropped, Meter, Renewal, Route,
-    RouteStop, Simulation, SimulationConfig, Snapshot, VehicleState, VehicleType,
+    RouteStop, Simulation, SimulationConfig, Snapshot, TrafficLightState, VehicleState,
+    VehicleType,
 };
 pub use traci::TraciSimulation;
 pub use value::FromValue;

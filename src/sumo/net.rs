@@ -3,7 +3,7 @@
 //!
 //! A net file is untrusted input. For any content, [`Net::load`] returns either a net in which all
 //! references resolve, or an error that names file, line and column. Elements that this program
-//! does not need (traffic lights, types of edges) are skipped. A net may be
+//! does not need, such as types of edges, are skipped. A net may be
 //! compressed (`.net.xml.gz`), and in any encoding that it declares.
 //!
 //! Units are SI units, coordinates are those of the net file, and angles are radians
@@ -18,6 +18,7 @@ mod programs;
 mod read;
 mod route;
 mod tile;
+mod traffic_light;
 mod trip;
 mod walk;
 pub(crate) mod xml;
@@ -36,6 +37,7 @@ pub use foes::Foes;
 pub use path::Path;
 pub(crate) use programs::with_programs;
 pub use tile::{Tiled, tile, tiled_id};
+pub use traffic_light::{Aspect, Phase, Signal, TrafficLight};
 pub use walk::Walk;
 pub use xml::XmlError;
 
@@ -64,6 +66,8 @@ pub struct Net {
     pub connections: Vec<Connection>,
     /// Roundabouts.
     pub roundabouts: Vec<Roundabout>,
+    /// Traffic lights.
+    pub traffic_lights: Vec<TrafficLight>,
     /// Lower left and upper right corner of the net \[m\].
     pub boundary: [[f64; 2]; 2],
     /// Whether vehicles drive on the left. Lanes are then counted from the left, too.
@@ -195,6 +199,8 @@ pub struct Connection {
     /// Direction in SUMO's notation: `s` straight, `l` left, `r` right, `t` U-turn, ...; empty if
     /// the file gives none.
     pub dir: String,
+    /// Signal that vehicles obey at the end of the lane `from`; `None` if there is none.
+    pub signal: Option<Signal>,
     /// Vehicle classes that may use the connection and its internal lanes.
     pub classes: Classes,
 }

@@ -42,6 +42,17 @@ pub struct Body {
     pub time_loss: f64,
 }
 
+/// State of a traffic light in a step.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct TrafficLightState {
+    /// What the signals said in the step, one letter for each as in SUMO's programs.
+    pub state: String,
+    /// Index of the phase.
+    pub phase: i32,
+    /// Simulation time of the step that begins with the next phase \[s\].
+    pub next_switch: f64,
+}
+
 /// One command of a decision. SUMO carries out the commands of one [`Simulation::send`] in order,
 /// before the step.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -124,6 +135,17 @@ pub enum Command {
         /// SUMO's bits: 1 maps the position to the vehicle's route only, 2 takes the exact
         /// position, also off the road.
         keep_route: u8,
+    },
+    /// Puts a traffic light into a phase of its program, which goes on from there.
+    StartPhase {
+        /// World number.
+        world: u32,
+        /// Index into [`SimulationConfig::traffic_lights`].
+        traffic_light: u32,
+        /// Index of the phase.
+        phase: u32,
+        /// How long the phase takes from now on \[s\].
+        remaining: f64,
     },
 }
 
@@ -271,6 +293,8 @@ pub struct SimulationConfig {
     pub audit: bool,
     /// Background traffic; `None` if there is none.
     pub others: Option<BackgroundTraffic>,
+    /// Ids of the traffic lights whose states [`Snapshot::traffic_lights`] gives.
+    pub traffic_lights: Vec<String>,
 }
 
 #[cfg(test)]
@@ -288,6 +312,7 @@ impl SimulationConfig {
             timeout: Duration::from_secs(60),
             audit: true,
             others: None,
+            traffic_lights: Vec::new(),
         }
     }
 }
@@ -352,6 +377,8 @@ pub struct Snapshot {
     /// Poses of the background traffic, indexed as `vehicles`; empty if there is no background
     /// traffic ([`SimulationConfig::others`]).
     pub bodies: Vec<Option<Body>>,
+    /// States of the traffic lights, `[worlds * traffic lights]`, world-major.
+    pub traffic_lights: Vec<TrafficLightState>,
     /// Collisions that SUMO reports for this step. A lasting overlap is reported in each step.
     pub collisions: Vec<Collision>,
     /// Departures that SUMO refused or discarded in this step, at least in part.

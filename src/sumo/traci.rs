@@ -17,6 +17,7 @@ use super::{
             VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS,
             VAR_PENDING_VEHICLES, VAR_TIME,
         },
+        traffic_light::{TL_CURRENT_PHASE, TL_NEXT_SWITCH, TL_RED_YELLOW_GREEN_STATE},
         vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
@@ -127,6 +128,11 @@ impl TraciSimulation {
                 );
             }
         }
+        let of_lights =
+            [TL_RED_YELLOW_GREEN_STATE.id(), TL_CURRENT_PHASE.id(), TL_NEXT_SWITCH.id()];
+        for light in &self.fleet.traffic_lights {
+            batch.subscribe(Domain::TRAFFIC_LIGHT, light, &of_lights);
+        }
         let outcomes = self.client.run(batch).map_err(|e| self.process.explain(e))?;
         outcomes.into_iter().try_for_each(|outcome| outcome.map(drop))
     }
@@ -204,3 +210,6 @@ fn launch(fleet: &Fleet) -> Result<(Process, Client, Version), Error> {
         ..Options::default()
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -235,7 +235,8 @@ fn drive(task: Task, rng: &mut Rng) {
                 Command::Depart { .. }
                 | Command::SpeedMode { .. }
                 | Command::KeepLane { .. }
-                | Command::MoveTo { .. } => {}
+                | Command::MoveTo { .. }
+                | Command::StartPhase { .. } => {}
             }
         }
         let mut snapshot = Snapshot::default();

@@ -105,6 +105,11 @@ fn agents_that_steer_see_the_same_wherever_their_world_runs() {
 }
 
 #[test]
+fn agents_see_the_same_signals_wherever_their_world_runs() {
+    agree(&task("signals", 8), Driver::Agents, 400, 10);
+}
+
+#[test]
 fn forty_eight_agents_see_the_same_wherever_their_world_runs() {
     agree(&task("intersection", 48), Driver::Agents, 250, 4);
 }

@@ -26,6 +26,7 @@ mod reports;
 mod resuming;
 mod route_files;
 mod scenario_files;
+mod signals;
 mod steering;
 mod sweeps;
 mod traci;

@@ -76,6 +76,7 @@ impl Own {
                     self.sumo.vehicle().set_lane_change_mode(&vehicle(slot), 0).unwrap();
                 }
                 Command::Depart { .. } => panic!("nobody is driven by SUMO here"),
+                Command::StartPhase { .. } => panic!("no traffic lights here"),
                 Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
                     let angle = (90.0 - heading.to_degrees()).rem_euclid(360.0);
                     let placement = Placement { angle, keep_route, ..Placement::default() };

@@ -170,6 +170,7 @@ fn exported(command: &Command) -> Value {
         Command::SpeedMode { slot, mode, .. } => json!(["speed_mode", slot, mode]),
         Command::KeepLane { slot, .. } => json!(["keep_lane", slot]),
         Command::Depart { .. } => unreachable!("the workload has agents only"),
+        Command::StartPhase { .. } => unreachable!("the workload starts no traffic lights"),
         Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
             json!(["move", slot, x, y, (90.0 - heading.to_degrees()).rem_euclid(360.0), keep_route])
         }

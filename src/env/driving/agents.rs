@@ -12,6 +12,7 @@ use nalgebra::Vector2;
 use super::departure::Departure;
 use super::geometry::{Pose, Size, Stance};
 use super::vehicle::tyres::Motion;
+use crate::sumo::net::Aspect;
 
 /// A vehicle whose centre is more than this far past a conflict point has left it with its whole
 /// body \[m\].
@@ -88,6 +89,14 @@ pub(crate) struct Slot {
     pub(crate) assigned: usize,
     /// Lane that SUMO last reported for a background vehicle, as an index into the net's lanes.
     pub(crate) lane: Option<u32>,
+    /// Number of stop lines of its route that an agent has passed, or had behind it from the start.
+    pub(crate) lines_passed: usize,
+    /// Whether the agent passed a red signal in the last step.
+    pub(crate) ran_red: bool,
+    /// Number of steps in which the agent passed a red signal.
+    pub(crate) red_lights: u32,
+    /// The signal that the vehicle comes to next.
+    pub(crate) next_signal: Option<NextSignal>,
     /// How the agent's episode has ended.
     pub(crate) outcome: Outcome,
     /// The agent's first crash.
@@ -104,6 +113,18 @@ impl Slot {
     pub(super) fn is_waiting(&self) -> bool {
         self.departure.is_some() && self.added && !self.departed
     }
+}
+
+/// The signal that a vehicle comes to next.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct NextSignal {
+    /// Distance from the vehicle's front to the stop line \[m\].
+    pub(crate) distance: f64,
+    /// What the signal says.
+    pub(crate) aspect: Aspect,
+    /// Time until the signal says something else \[s\], infinite if it never does; `None` if the
+    /// program is not static.
+    pub(crate) to_change: Option<f64>,
 }
 
 /// How an agent crashed.

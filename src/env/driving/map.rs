@@ -14,6 +14,7 @@ use super::lane_routes::LaneRoutes;
 use super::levels::Levels;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
+use super::signals::TrafficLights;
 use crate::scenario::{Demand, DemandPlan, Scenario};
 use crate::sumo::net::{EdgeFunction, Foes, Net, Path};
 
@@ -70,6 +71,8 @@ pub struct Map {
     pub(super) plan: DemandPlan,
     /// Parts of each route that lie in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,
+    /// Traffic lights that rule the routes.
+    pub traffic_lights: TrafficLights,
     /// Lanes that SUMO compares when it looks for collisions.
     pub(super) foes: Foes,
     /// Which routes begin alike, and where they part.
@@ -144,6 +147,7 @@ impl Map {
         let road = road_is_needed.then(|| Road::new(&net, size, &scenario.termination));
         Ok(Self {
             foes: net.foes.clone(),
+            traffic_lights: TrafficLights::new(&net, &lanes, &routes),
             forks: Forks::new(&net, &routes),
             bounds: bounds(&lanes),
             free_time: lanes.iter().map(|path| free_time(&net, scenario, path)).collect(),

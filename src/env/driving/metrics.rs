@@ -44,6 +44,9 @@ pub struct EpisodeRecord {
     /// from their finish and with nobody ahead. 0 in files of older versions.
     #[serde(default)]
     pub loitering: f64,
+    /// Red signals passed per agent; `None` in tasks without signals on their routes.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub red_lights: Option<f64>,
     /// Where SUMO's report and our own box test differ, and why.
     pub audit: Audit,
     /// Why agents did not arrive.

@@ -33,6 +33,7 @@ pub(super) mod right_of_way;
 mod road;
 mod routes;
 mod shared;
+mod signals;
 mod spawn;
 mod state;
 mod surface;

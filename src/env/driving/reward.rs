@@ -73,7 +73,10 @@ impl Rewards {
             if let Some(partner) = partner {
                 slot.crash = Some(partner.crash(route, slot, step));
             }
-            let reward = reward(task, steers, slot, slot.s - self.positions[i]);
+            let mut reward = reward(task, steers, slot, slot.s - self.positions[i]);
+            if slot.ran_red {
+                reward += task.scenario.reward.red_light;
+            }
             self.own[i] = reward;
             sum += reward;
             if outcome.arrived || outcome.out_of_road || outcome.crashed {

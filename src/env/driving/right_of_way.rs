@@ -192,9 +192,17 @@ pub(crate) fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Ca
     })
 }
 
+/// Whether a red signal holds a vehicle back before its next conflict point.
+fn is_held(routes: &[RouteGeometry], slot: &Slot) -> bool {
+    slot.next_signal.is_some_and(|next| {
+        next.aspect.is_red() && next.distance < routes[slot.route].to_first_conflict(slot.s)
+    })
+}
+
 /// Assigns priority to the vehicles that have come within `near` metres of their first conflict
 /// point, the closest vehicle first. If a vehicle's route is hidden, its distance is the one to the
-/// first conflict point on any route that it could still take.
+/// first conflict point on any route that it could still take. A vehicle before a red signal has
+/// no priority until the signal lets it pass.
 pub(crate) fn assign(
     traffic: &mut Traffic,
     routes: &[RouteGeometry],
@@ -208,13 +216,14 @@ pub(crate) fn assign(
     // A vehicle that has left a group of conflicts gets a new priority at the next one.
     for slot in traffic.slots.iter_mut().filter(|slot| slot.status != Status::Empty) {
         let group = routes[slot.route].group_at(slot.s);
-        if std::mem::replace(&mut slot.conflict_group, group) != group {
+        if std::mem::replace(&mut slot.conflict_group, group) != group || is_held(routes, slot) {
             slot.priority = 0;
         }
     }
     loop {
         let waiting = traffic.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
-            let waits = slot.status != Status::Empty && slot.priority == 0;
+            let waits =
+                slot.status != Status::Empty && slot.priority == 0 && !is_held(routes, slot);
             let distance = if waits { to_conflict(j, slot) } else { f64::INFINITY };
             (distance <= near).then_some((distance, slot))
         });

@@ -10,6 +10,7 @@
 use super::agents::{CLEARED, Status};
 use super::observation::encounter::Encounters;
 use super::observation::group::{COUNT, SPEED, moving};
+use super::observation::signals;
 use super::observation::{FeatureGroup, View, Writer};
 use crate::env::spec::Described;
 use crate::scenario::Scenario;
@@ -77,6 +78,7 @@ pub(super) static GROUPS: &[FeatureGroup] = &[
         },
         write: write_apart,
     },
+    signals::KNOWN,
 ];
 
 /// Returns the number of conflicting routes that are described.

@@ -104,8 +104,10 @@ impl Task {
         let first = |route| scenario.routes.iter().position(|other| end(other) == end(route));
         let reserved =
             scenario.routes.iter().map(|route| first(route).filter(|_| route.reserved)).collect();
-        let (observation, observed) = Layout::new(observation::GROUPS, scenario);
-        let (state, known) = Layout::new(state::GROUPS, scenario);
+        let mut scenario = scenario.clone();
+        scenario.observation.signals &= !map.traffic_lights.lights.is_empty();
+        let (observation, observed) = Layout::new(observation::GROUPS, &scenario);
+        let (state, known) = Layout::new(state::GROUPS, &scenario);
         Ok(Self {
             agents: agents as usize,
             others: (placed - starting + capacity) as usize,
@@ -127,7 +129,7 @@ impl Task {
             },
             observation,
             state,
-            scenario: scenario.clone(),
+            scenario,
         })
     }
 
@@ -232,6 +234,13 @@ impl Task {
         recruits.is_some_and(|recruits| types.iter().any(|entry| recruits[entry.0]))
     }
 
+    /// Whether what SUMO does in an episode depends on what it did before, so that each episode
+    /// needs a renewed SUMO of its own: with background traffic, or traffic lights that react to
+    /// traffic.
+    pub(super) fn needs_fresh_sumo(&self) -> bool {
+        self.others > 0 || !self.map.traffic_lights.are_static()
+    }
+
     /// Returns whether agents come from route files.
     pub(super) fn has_flow(&self) -> bool {
         !self.recruits.is_empty()
@@ -273,6 +282,7 @@ impl Task {
             others: (self.others > 0).then(|| self.road_users()),
             timeout: hosting.timeout,
             audit: hosting.audit,
+            traffic_lights: self.map.traffic_lights.lights.iter().map(|l| l.id.clone()).collect(),
             // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
             // gap, but one that is small enough for vehicles to depart from neighbouring places
             // under the largest jitter.

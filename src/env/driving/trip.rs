@@ -14,6 +14,8 @@ pub(super) struct Trip {
     /// Whether the agent had neither arrived nor failed.
     pub(super) unfinished: bool,
     pub(super) loitered: bool,
+    /// Number of red signals that the agent passed.
+    pub(super) red_lights: u32,
     /// `None` for an agent that began at a spawn place.
     pub(super) departure: Option<Departure>,
 }
@@ -27,6 +29,7 @@ impl Trip {
             crash: agent.crash,
             unfinished: agent.status == Status::Active,
             loitered: loitering.is_long(),
+            red_lights: agent.red_lights,
             departure: agent.departure,
         }
     }

@@ -29,6 +29,8 @@ pub(super) struct Counts {
     /// Agents that crashed or went off-road.
     pub(super) failed: f64,
     pub(super) loitered: f64,
+    /// Number of red signals that agents passed.
+    pub(super) red_lights: f64,
     pub(super) failures: Failures,
 }
 
@@ -93,6 +95,7 @@ impl Trips {
             out_of_road: count(|trip| trip.outcome.out_of_road),
             failed: count(|trip| trip.outcome.crashed || trip.outcome.out_of_road),
             loitered: count(|trip| trip.loitered),
+            red_lights: trips.iter().map(|trip| f64::from(trip.red_lights)).sum(),
             failures: Failures::of(&trips, &task.map.route_ids),
         }
     }

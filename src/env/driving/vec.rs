@@ -143,7 +143,7 @@ impl VecEnv {
         let hosting = match options.driver {
             // SUMO's driver uses distances that SUMO computes from coordinates, and the rounding
             // of coordinates differs from tile to tile.
-            _ if task.others > 0 => options.hosting.alone(options.worlds),
+            _ if task.needs_fresh_sumo() => options.hosting.alone(options.worlds),
             Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
             Driver::Agents | Driver::Rules => options.hosting,
         };
@@ -170,8 +170,8 @@ impl VecEnv {
                 };
                 Ok(Host {
                     simulation,
-                    forgetful: options.driver == Driver::Sumo || task.others > 0,
-                    seeded: task.others > 0,
+                    forgetful: options.driver == Driver::Sumo || task.needs_fresh_sumo(),
+                    seeded: task.needs_fresh_sumo(),
                     first,
                     worlds: (first..end).map(world).collect(),
                     commands: Vec::new(),

@@ -25,6 +25,7 @@ use super::motion;
 use super::observation::View;
 use super::reward::Rewards;
 use super::right_of_way::RightOfWay;
+use super::signals::Signals;
 use super::spawn::spawn;
 use super::task::{Driver, Task};
 use super::trips::Trips;
@@ -41,6 +42,7 @@ pub struct World {
     /// Routes that each vehicle could still take, if the scenario hides routes.
     intentions: Option<Intentions>,
     right_of_way: RightOfWay,
+    signals: Signals,
     background: Background,
     collisions: Collisions,
     rewards: Rewards,
@@ -78,6 +80,7 @@ impl World {
                 driver == Driver::Rules,
                 slots,
             ),
+            signals: Signals::new(&task.map.traffic_lights),
             background: Background::new(&task, driver),
             collisions: Collisions::new(slots),
             rewards: Rewards::new(n),
@@ -258,6 +261,8 @@ impl World {
             return;
         }
         let (task, seed) = (&self.task, self.episode.seed());
+        let (lights, interval) = (&task.map.traffic_lights, task.scenario.control.interval);
+        Signals::begin(lights, interval, world, seed.child("signals"), commands);
         let (driver, slots) = (self.driver, &mut self.traffic.slots);
         let agents = &mut slots[..task.agents];
         let spawned = spawn(task, driver, world, &mut seed.rng(), agents, commands);
@@ -285,6 +290,10 @@ impl World {
             Phase::Idle | Phase::Ended => return Ok(()),
             Phase::Spawning => {
                 self.place(world, snapshot)?;
+                let agents = &mut self.traffic.slots[..self.task.agents];
+                agents
+                    .iter_mut()
+                    .for_each(|slot| Signals::enter(&self.task.map.traffic_lights, slot));
                 self.episode.phase = Phase::Running;
                 self.intentions.iter_mut().for_each(Intentions::begin);
                 self.frame.begin(true);
@@ -332,6 +341,7 @@ impl World {
             }
             task.warn_of_dropped(dropped);
         }
+        self.signals.place(world, snapshot);
         let (agents, others) = self.traffic.slots.split_at_mut(task.agents);
         motion::place(task, self.driver, world, snapshot, self.episode.step, agents)?;
         if task.others > 0 {
@@ -344,9 +354,10 @@ impl World {
     /// their slots before is left.
     fn welcome(&mut self) {
         let step = self.episode.step;
-        for (i, slot) in self.traffic.slots[..self.task.agents].iter().enumerate() {
+        for (i, slot) in self.traffic.slots[..self.task.agents].iter_mut().enumerate() {
             if slot.departed && slot.departure.is_some_and(|departure| departure.step == step) {
                 self.frame.start[i] = 1.0;
+                Signals::enter(&self.task.map.traffic_lights, slot);
                 self.loitering[i] = Loitering::default();
                 self.collisions.pairs.renew(i as u32);
                 self.background.renew(i);
@@ -373,6 +384,7 @@ impl World {
         self.distance += self.traffic.driven_by_agents(n);
         let interval = task.scenario.control.interval;
         loitering::watch(map, interval, &self.traffic.slots, &mut self.loitering);
+        self.signals.judge(&map.traffic_lights, &mut self.traffic.slots[..n]);
         let steer = task.scenario.control.steering.is_some();
         self.collisions.compare(map, steer, n, &self.traffic.slots, reported());
         self.rewards.settle(
@@ -398,7 +410,14 @@ impl World {
         if let Some(intentions) = &mut self.intentions {
             intentions.update(map, &self.traffic, task.steers(self.driver));
         }
+        self.signals.look(&map.traffic_lights, task.agents, &mut self.traffic.slots);
         self.right_of_way.update(map, &mut self.traffic, self.intentions.as_ref());
+    }
+
+    /// Returns what the traffic lights that rule routes said in the last step, one letter for each
+    /// signal as in SUMO's programs.
+    pub fn traffic_lights(&self) -> impl Iterator<Item = &str> {
+        self.signals.states()
     }
 
     /// Whether the vehicles get priorities.

@@ -1,15 +1,19 @@
 //! The driver that gives way first come, first served: when it brakes.
 
-use crate::env::driving::agents::{Slot, Status, Traffic};
+use crate::env::driving::agents::{NextSignal, Slot, Status, Traffic};
 use crate::env::driving::intention::Knowledge;
 use crate::env::driving::right_of_way::{Free, RESERVE, free, inherit, to_entry};
 use crate::env::driving::task::Task;
+use crate::sumo::net::Aspect;
 
 /// Braking that the rule plans with; less where the vehicle cannot brake as hard \[m/s²\].
 const BRAKING: f64 = 6.0;
 
+/// Distance that a vehicle keeps from the stop line of a signal \[m\].
+const BEFORE_LINE: f64 = 1.0;
+
 /// Returns for every slot whether its vehicle brakes now: for a vehicle that has priority, is
-/// ahead, or stands in its way.
+/// ahead, or stands in its way, or for a signal that is red, or yellow with room to stop.
 pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.map.routes, traffic);
@@ -22,8 +26,14 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         let braking = own.speed * own.speed / (2.0 * brakes);
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
+        let stops = |next: NextSignal| {
+            let yellow = next.aspect == Aspect::Yellow && next.distance >= braking;
+            (next.aspect.is_red() || yellow)
+                && next.distance < braking + own.speed * control.interval + BEFORE_LINE
+        };
         own.status == Status::Active
-            && (space.distance < braking + RESERVE
+            && (own.next_signal.is_some_and(stops)
+                || space.distance < braking + RESERVE
                 || space.blocked < RESERVE
                 || outside && space.distance.min(space.slow) < f64::INFINITY)
     };
@@ -129,6 +139,26 @@ mod tests {
         assert!(giving_way(&task, &traffic)[0]);
         traffic.slots[1].status = Status::Empty;
         assert!(!giving_way(&task, &traffic)[0]);
+    }
+
+    #[test]
+    fn a_vehicle_stops_for_a_signal_and_has_no_priority_before_red() {
+        let task = task();
+        let mut traffic = traffic(&task, &[("west_straight", 19.0), ("south_straight", 12.0)]);
+        let say = |traffic: &mut Traffic, speed: f64, distance: f64, aspect: Aspect| {
+            traffic.slots[1].speed = speed;
+            traffic.slots[1].next_signal = Some(NextSignal { distance, aspect, to_change: None });
+            assign(traffic, &task.map.routes, None, 20.0);
+            (traffic.slots[1].priority, giving_way(&task, traffic)[1])
+        };
+        assert_eq!(say(&mut traffic, 0.0, 0.5, Aspect::Red), (0, true));
+        assert_eq!(traffic.slots[0].priority, 1, "the other vehicle does not wait for it");
+        traffic.slots[0].status = Status::Empty;
+        assert_eq!(say(&mut traffic, 0.0, 0.5, Aspect::Priority), (2, false));
+        // The vehicle needs 8.3 m to stop.
+        assert_eq!(say(&mut traffic, 10.0, 8.0, Aspect::Yellow), (2, false), "no room to stop");
+        assert_eq!(say(&mut traffic, 10.0, 9.0, Aspect::Yellow), (2, true));
+        assert_eq!(say(&mut traffic, 10.0, 30.0, Aspect::Red), (2, false), "beyond the conflict");
     }
 
     proptest! {

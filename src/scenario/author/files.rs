@@ -151,7 +151,7 @@ impl Layout {
 
     /// Returns a scenario on the net of `site`, with the usual settings.
     pub(super) fn scenario(&self, site: Site) -> Result<Scenario, Error> {
-        let Site { description, routes, paths, rows, agents, speed, steers } = site;
+        let Site { description, routes, paths, rows, agents, speed, steers, has_signals } = site;
         let longest = paths.iter().map(LanePath::length).fold(0.0, f64::max);
         // An agent should observe all vehicles that its path may conflict with. Vehicles that begin
         // on the same lane, one behind the other, do not count.
@@ -185,6 +185,10 @@ impl Layout {
         scenario.vehicle.max_speed = speed;
         scenario.observation.conflict_streams = streams;
         scenario.observation.stream_vehicles = longest_row.min(3) as usize;
+        if has_signals {
+            // Passing red is as bad as a crash.
+            scenario.reward.red_light = scenario.reward.crash;
+        }
         scenario.termination.horizon = horizon.clamp(500.0, 1e6) as u32;
         if steers != Steers::No {
             steer(&mut scenario);
@@ -239,6 +243,8 @@ pub(super) struct Site {
     /// Top speed \[m/s\].
     pub(super) speed: f64,
     pub(super) steers: Steers,
+    /// Whether signals rule routes.
+    pub(super) has_signals: bool,
 }
 
 /// A row of spawn places on a lane.

@@ -12,13 +12,14 @@ use super::{Error, netconvert};
 use crate::record::write_atomic;
 use crate::sumo::net::{Net, Path as LanePath, cut, did_you_mean, nearest, shorten};
 
-/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and priority rules
-/// instead of traffic lights, which agents do not observe.
-const OSM_OPTIONS: [(&str, &str); 7] = [
+/// netconvert's options for OpenStreetMap: roads for cars, simple shapes, and traffic lights at
+/// junctions, also where the map has their signals at the stop lines.
+const OSM_OPTIONS: [(&str, &str); 8] = [
     ("geometry.remove", "true"),
     ("roundabouts.guess", "true"),
     ("junctions.join", "true"),
-    ("tls.discard-loaded", "true"),
+    ("tls.guess-signals", "true"),
+    ("tls.join", "true"),
     ("keep-edges.by-vclass", "passenger"),
     ("remove-edges.isolated", "true"),
     ("no-turnarounds", "true"),
@@ -139,7 +140,10 @@ pub fn import(root: &Path, name: &str, map: Map, choices: &Choices) -> Result<Im
             "Vehicles pass the junction {} of an imported map.",
             proposal.candidate.junction
         );
+        let has_signals =
+            proposal.paths.iter().any(|path| !net.signals_on(path).is_empty());
         let scenario = layout.scenario(Site {
+            has_signals,
             description,
             routes: proposal.routes,
             paths: proposal.paths,

@@ -80,6 +80,7 @@ pub fn create(
             }
         };
         let site = Site {
+            has_signals: false,
             description: template.description().into(),
             rows: starts(&plan.routes).into_values().map(row).collect(),
             routes: plan.routes,

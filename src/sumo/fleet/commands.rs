@@ -182,6 +182,12 @@ impl Fleet {
                 let placement = Placement { angle, keep_route, ..Placement::default() };
                 batch.vehicle().move_to_xy(&self.names[vehicle], [x + dx, y + dy], &placement);
             }
+            Command::StartPhase { world, traffic_light, phase, remaining } => {
+                finite("a duration", remaining)?;
+                let name = self.light(world, traffic_light)?;
+                batch.traffic_light().set_phase(name, phase as i32);
+                batch.traffic_light().set_phase_duration(name, remaining);
+            }
         }
         Ok(())
     }
@@ -202,6 +208,18 @@ impl Fleet {
         }
         Err(Error::invalid(format!(
             "there is no slot {slot} in world {world}: there are {worlds} worlds of {slots} slots"
+        )))
+    }
+
+    /// Returns the name of a world's traffic light, given by its index.
+    fn light(&self, world: u32, index: u32) -> Result<&str, Error> {
+        let known = self.config.traffic_lights.len();
+        if world < self.config.worlds && (index as usize) < known {
+            return Ok(&self.traffic_lights[world as usize * known + index as usize]);
+        }
+        Err(Error::invalid(format!(
+            "there is no traffic light {index} in world {world}: there are {known} in each of {} worlds",
+            self.config.worlds
         )))
     }
 

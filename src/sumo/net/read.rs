@@ -9,7 +9,7 @@ use roxmltree::{Document, Node};
 
 use super::{
     Classes, Connection, DEFAULT_LANE_WIDTH, Edge, EdgeFunction, Foes, Junction, Lane, Net,
-    NetError, Problem, Roundabout, nearest, shorten, xml,
+    NetError, Phase, Problem, Roundabout, Signal, TrafficLight, nearest, shorten, xml,
 };
 use crate::markup;
 
@@ -69,6 +69,7 @@ impl Reader<'_, '_> {
             junctions: Vec::new(),
             connections: Vec::new(),
             roundabouts: self.roundabouts(root)?,
+            traffic_lights: self.traffic_lights(root)?,
             boundary: self.boundary(root)?,
             left_hand: root.attribute("lefthand").is_some_and(|text| matches!(text, "true" | "1")),
             foes: Foes::default(),
@@ -119,8 +120,9 @@ impl Reader<'_, '_> {
             let to = self.lane_end(node, &net, "to", "toLane")?;
             let dir = node.attribute("dir").unwrap_or_default().to_owned();
             net.leaving[from].push(net.connections.len());
+            let signal = self.signal(node, &mut net)?;
             let classes = self.classes(node)?;
-            net.connections.push(Connection { from, to, via, dir, classes });
+            net.connections.push(Connection { from, to, via, dir, signal, classes });
         }
         net.foes = Foes::read(root, &lane_by_id, &net);
         for i in 0..net.connections.len() {
@@ -139,6 +141,72 @@ impl Reader<'_, '_> {
         let read =
             |node| Ok(Roundabout { junctions: ids(node, "nodes")?, edges: ids(node, "edges")? });
         elements(root, "roundabout").map(read).collect()
+    }
+
+    /// Returns the traffic lights, each with its last program, which is the one that SUMO starts.
+    fn traffic_lights(&self, root: Node) -> Result<Vec<TrafficLight>, NetError> {
+        let mut lights: Vec<TrafficLight> = Vec::new();
+        for node in elements(root, "tlLogic") {
+            let phases: Vec<Phase> =
+                elements(node, "phase").map(|phase| self.phase(phase)).collect::<Result<_, _>>()?;
+            let beyond = |phase: &Phase| phase.next.is_some_and(|next| next >= phases.len());
+            let wrong = elements(node, "phase").zip(&phases).find(|(_, phase)| beyond(phase));
+            if let Some((phase, _)) = wrong {
+                return Err(self.value(phase, "next", "the indices of phases"));
+            }
+            let kind = node.attribute("type").unwrap_or("static");
+            let light = TrafficLight {
+                id: self.text(node, "id")?.to_owned(),
+                kind: if node.attribute("programID") == Some("off") { "off" } else { kind }.into(),
+                offset: node.attribute("offset").and_then(finite).map_or(0, milliseconds),
+                phases,
+            };
+            match lights.iter_mut().find(|other| other.id == light.id) {
+                Some(other) => *other = light,
+                None => lights.push(light),
+            }
+        }
+        Ok(lights)
+    }
+
+    fn phase(&self, node: Node) -> Result<Phase, NetError> {
+        // Newer releases of SUMO know actuated phases with a minimum duration only.
+        let key = ["duration", "minDur"].into_iter().find(|key| node.has_attribute(*key));
+        let key = key.unwrap_or("duration");
+        let next = node.attribute("next").and_then(|text| text.split([' ', ',']).next());
+        let next = next.filter(|text| !text.is_empty()).map(str::parse).transpose();
+        Ok(Phase {
+            duration: milliseconds(self.number(node, key, MIN_LENGTH)?).max(1),
+            state: self.text(node, "state")?.to_owned(),
+            next: next.map_err(|_| self.value(node, "next", "the indices of phases"))?,
+        })
+    }
+
+    /// Returns the signal of a connection. At rail crossings and rail signals, SUMO makes a traffic
+    /// light of the junction itself, and gives connections without a signal the index -1.
+    fn signal(&self, node: Node, net: &mut Net) -> Result<Option<Signal>, NetError> {
+        let Some(id) = node.attribute("tl").filter(|id| !id.is_empty()) else { return Ok(None) };
+        if node.attribute("linkIndex") == Some("-1") {
+            return Ok(None);
+        }
+        let index = self.integer(node, "linkIndex")? as usize;
+        let known = net.traffic_lights.iter().position(|light| light.id == id);
+        let rail = |junction: &&Junction| junction.id == id && junction.kind.starts_with("rail_");
+        if let (None, Some(junction)) = (known, net.junctions.iter().find(rail)) {
+            let (id, kind) = (id.to_owned(), junction.kind.clone());
+            net.traffic_lights.push(TrafficLight { id, kind, offset: 0, phases: Vec::new() });
+            return Ok(Some(Signal { traffic_light: net.traffic_lights.len() - 1, index }));
+        }
+        let traffic_light = known.ok_or_else(|| {
+            let ids = net.traffic_lights.iter().map(|light| light.id.as_str());
+            self.reference(node, "tl", id, ids)
+        })?;
+        let phases = &net.traffic_lights[traffic_light].phases;
+        if phases.iter().any(|phase| phase.state.len() <= index) {
+            let allowed = "the place of a letter in every state of the traffic light";
+            return Err(self.value(node, "linkIndex", allowed));
+        }
+        Ok(Some(Signal { traffic_light, index }))
     }
 
     fn boundary(&self, root: Node) -> Result<[[f64; 2]; 2], NetError> {
@@ -331,4 +399,9 @@ fn elements<'a, 'i>(
 
 fn finite(text: &str) -> Option<f64> {
     text.trim().parse::<f64>().ok().filter(|n| n.abs() <= MAX_NUMBER)
+}
+
+/// Converts a time in seconds into SUMO's milliseconds.
+fn milliseconds(seconds: f64) -> i64 {
+    (seconds * 1000.0).round() as i64
 }

@@ -3,7 +3,7 @@
 use std::mem;
 
 use crate::sumo::{
-    Error,
+    Error, TrafficLightState,
     codec::Reader,
     constants::{self as c, Domain},
     domain::{
@@ -11,6 +11,7 @@ use crate::sumo::{
             VAR_ARRIVED_PERSONS_IDS, VAR_ARRIVED_VEHICLES_IDS, VAR_COLLISIONS,
             VAR_PENDING_VEHICLES, VAR_TIME,
         },
+        traffic_light::{TL_CURRENT_PHASE, TL_NEXT_SWITCH, TL_RED_YELLOW_GREEN_STATE},
         vehicle::{VAR_ANGLE, VAR_DISTANCE, VAR_LANE_ID, VAR_POSITION, VAR_SPEED, VAR_TIMELOSS},
     },
     fleet::Fleet,
@@ -28,6 +29,9 @@ const POSITION: u8 = VAR_POSITION.number();
 const ANGLE: u8 = VAR_ANGLE.number();
 const LANE: u8 = VAR_LANE_ID.number();
 const TIME_LOSS: u8 = VAR_TIMELOSS.number();
+const LIGHT_STATE: u8 = TL_RED_YELLOW_GREEN_STATE.number();
+const LIGHT_PHASE: u8 = TL_CURRENT_PHASE.number();
+const LIGHT_SWITCH: u8 = TL_NEXT_SWITCH.number();
 
 /// A sink that reads the reply to a step into the snapshot. The order of a vehicle's variables in
 /// its report does not matter.
@@ -71,6 +75,11 @@ impl Sink for StepSink<'_> {
         if !report.after_step || !report.known {
             self.row.gone |= !report.known;
             return read_value(report.response, report.variable, value).map(drop);
+        }
+        if report.response == Domain::TRAFFIC_LIGHT.subscribe + 0x10
+            && let Some(light) = self.fleet.traffic_light(report.object)
+        {
+            return read_light(report.variable, value, light);
         }
         let of_simulation = report.response == Domain::SIMULATION.subscribe + 0x10;
         match report.variable {
@@ -142,6 +151,24 @@ fn finite_point(value: &mut Reader<'_>) -> Result<[f64; 2], Error> {
     let point = value.position_2d()?;
     let all = point.iter().all(|x| x.is_finite());
     if all { Ok(point) } else { Err(value.unexpected("finite coordinates", format!("{point:?}"))) }
+}
+
+/// Reads a variable of a traffic light.
+fn read_light(
+    variable: u8,
+    value: &mut Reader<'_>,
+    light: &mut TrafficLightState,
+) -> Result<(), Error> {
+    match variable {
+        LIGHT_STATE => {
+            light.state.clear();
+            light.state.push_str(value.string()?);
+        }
+        LIGHT_PHASE => light.phase = value.integer()?,
+        LIGHT_SWITCH => light.next_switch = finite(value)?,
+        _ => drop(read_value(Domain::TRAFFIC_LIGHT.subscribe + 0x10, variable, value)?),
+    }
+    Ok(())
 }
 
 /// Reads the collisions between vehicles of the fleet.

@@ -99,7 +99,8 @@ fn a_check_looks_at_the_net() {
     );
     fs::write(&nodes, text.replace("\"right_before_left\"", "\"traffic_light\"")).unwrap();
     build(&file, true).unwrap();
-    assert!(findings(&file).contains("junction `centre` has signals"), "{}", findings(&file));
+    let found = findings(&file);
+    assert!(found.contains("nothing keeps agents from passing red"), "{found}");
     let config = folder.path().join("sumo_nets/site/site.netccfg");
     let options = fs::read_to_string(&config).unwrap();
     let bare = "<no-turnarounds value=\"true\"/>\n        <no-internal-links value=\"true\"/>";

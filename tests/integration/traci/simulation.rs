@@ -73,6 +73,7 @@ fn config(slots: u32) -> SimulationConfig {
         timeout: Duration::from_secs(60),
         audit: true,
         others: None,
+        traffic_lights: Vec::new(),
         vehicle_types: vec![VehicleType {
             class: None,
             id: "car".into(),
@@ -252,11 +253,14 @@ fn the_same_commands_give_the_same_bits() {
 fn a_step_in_the_steady_state_allocates_nothing() {
     let mut tiled = config(8);
     tiled.worlds = 3;
+    // The same edges lead over a crossing with signals.
+    tiled.net = crate::support::root().join("sumo_nets/signals/signals.net.xml");
+    tiled.traffic_lights = vec!["centre".into()];
     let mut simulation = TraciSimulation::start(tiled).unwrap();
     let all = || (0..3).flat_map(|world| (0..8).map(move |slot| (world, slot)));
     let mut begin = Vec::new();
     for (world, slot) in all() {
-        let depart_pos = 10.0 + 8.0 * f64::from(slot);
+        let depart_pos = 10.0 + 6.0 * f64::from(slot);
         begin.push(Command::Add {
             world,
             slot,

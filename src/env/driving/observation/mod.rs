@@ -24,6 +24,7 @@ mod leader;
 mod lidar;
 mod neighbour;
 mod preview;
+pub mod signals;
 mod steering;
 mod streams;
 
@@ -42,4 +43,5 @@ pub static GROUPS: &[FeatureGroup] = &[
     leader::GROUP,
     streams::GROUP,
     lidar::GROUP,
+    signals::GROUP,
 ];

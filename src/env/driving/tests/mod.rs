@@ -107,6 +107,7 @@ impl Rails {
                     }
                 }
                 Command::MoveTo { .. } => panic!("nobody steers here"),
+                Command::StartPhase { .. } => panic!("no traffic lights here"),
             }
         }
         let step = self.task.scenario.control.interval;

@@ -17,6 +17,7 @@ impl World {
             let queued = waiting + self.background.queued(task, now);
             self.trips.flow(task, steps, agents, &self.loitering, queued)
         });
+        let has_signals = !task.map.traffic_lights.lights.is_empty();
         let total = self.rewards.total;
         // Rewards are per slot where agents come from route files.
         let per_agent = |departed| total * task.agents as f64 / f64::from(u32::max(departed, 1));
@@ -34,6 +35,7 @@ impl World {
             distance_km: self.distance / 1000.0,
             crashes: self.collisions.crashes,
             loitering: trips.loitered / n,
+            red_lights: has_signals.then(|| trips.red_lights / n),
             audit: self.collisions.pairs.audit(),
             failures: trips.failures,
             flow,
