@@ -113,9 +113,9 @@ impl Trial {
                 } else {
                     (own.child("speed").index(i as u64).rng().random_range(SHARES), NOISE)
                 };
-                let wanted = world.pursuit(i, share * scenario.vehicle.max_speed);
-                // A single action is the throttle.
-                for (act, wanted) in acts.iter_mut().zip(&wanted[2 - width..]) {
+                let [steer, throttle] = world.pursuit(i, share * scenario.vehicle.max_speed);
+                let wanted = task.action(steer, throttle);
+                for (act, wanted) in acts.iter_mut().zip(wanted) {
                     *act = (wanted + noisy * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
                 }
                 if frame.active[i] > 0.0 {

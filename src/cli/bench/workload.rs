@@ -168,8 +168,10 @@ fn exported(command: &Command) -> Value {
         Command::Remove { slot, .. } => json!(["remove", slot]),
         Command::SetSpeed { slot, speed, .. } => json!(["speed", slot, speed]),
         Command::SpeedMode { slot, mode, .. } => json!(["speed_mode", slot, mode]),
-        Command::KeepLane { slot, .. } => json!(["keep_lane", slot]),
-        Command::Depart { .. } => unreachable!("the workload has agents only"),
+        Command::LaneChangeMode { slot, mode, .. } => json!(["lane_change_mode", slot, mode]),
+        Command::Depart { .. } | Command::ChangeLane { .. } => {
+            unreachable!("the workload has agents only, which keep their lanes")
+        }
         Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
             json!(["move", slot, x, y, (90.0 - heading.to_degrees()).rem_euclid(360.0), keep_route])
         }

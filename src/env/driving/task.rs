@@ -10,7 +10,8 @@ use super::map::Map;
 use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
-    Control, Demand, Finish, PlannedDeparture, Scenario, Source, SpawnPlace, Start, VehicleKind,
+    Control, Demand, Finish, LaneChange, PlannedDeparture, Scenario, Source, SpawnPlace, Start,
+    VehicleKind,
 };
 use crate::sumo::{BackgroundTraffic, Departure, Hosting, Route, SimulationConfig, VehicleType};
 
@@ -161,6 +162,24 @@ impl Task {
         self.agents + self.others
     }
 
+    /// Returns the dimensions of an action with this steering and throttle, each -1 to 1, which keeps
+    /// the lane; further numbers follow.
+    pub(crate) fn action(&self, steer: f64, throttle: f64) -> [f64; 2] {
+        if self.scenario.control.steering.is_some() { [steer, throttle] } else { [throttle, 0.0] }
+    }
+
+    /// Whether agents may change lanes, so that they are on the lanes that SUMO reports.
+    pub(super) fn changes_lanes(&self) -> bool {
+        self.scenario.control.lane_change != LaneChange::None
+    }
+
+    /// Whether each world needs a SUMO of its own, which is renewed for each episode: SUMO's driver
+    /// and its lane change model use distances that SUMO computes from coordinates, whose rounding
+    /// differs from tile to tile, and random numbers.
+    pub(super) fn is_hosted_alone(&self) -> bool {
+        self.others > 0 || self.changes_lanes()
+    }
+
     /// Whether agents steer under this driver, so that they follow their routes' paths instead of
     /// the lanes.
     pub(super) fn steers(&self, driver: Driver) -> bool {
@@ -233,7 +252,7 @@ impl Task {
             seed,
             worlds,
             slots: self.slots() as u32,
-            others: (self.others > 0).then(|| self.road_users()),
+            others: self.is_hosted_alone().then(|| self.road_users()),
             timeout: hosting.timeout,
             audit: hosting.audit,
             // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
@@ -313,7 +332,11 @@ impl Task {
         };
         let name = |planned: &PlannedDeparture| self.demand.sources[planned.source].name();
         BackgroundTraffic {
-            first_slot: if self.has_flow() { 0 } else { self.agents as u32 },
+            first_slot: if self.has_flow() || self.changes_lanes() {
+                0
+            } else {
+                self.agents as u32
+            },
             definitions: self.demand.definitions.clone(),
             types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
             departures: departures
@@ -327,7 +350,7 @@ impl Task {
 }
 
 /// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
-/// brake.
+/// brake, then the lane, if actions change lanes.
 ///
 /// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
 /// with a mean throttle of 0 hardly moves under noise.
@@ -337,5 +360,9 @@ fn actions(control: &Control) -> Vec<ActionDimension> {
         initial_mean: control.initial_throttle as f32,
         ..ActionDimension::named("throttle")
     };
-    if control.steering.is_some() { vec![steer, throttle] } else { vec![throttle] }
+    match control.lane_change {
+        _ if control.steering.is_some() => vec![steer, throttle],
+        LaneChange::Action => vec![throttle, ActionDimension::named("lane")],
+        LaneChange::None | LaneChange::Route => vec![throttle],
+    }
 }

@@ -141,9 +141,7 @@ impl VecEnv {
     /// Starts the simulators with worlds that are idle.
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
         let hosting = match options.driver {
-            // SUMO's driver uses distances that SUMO computes from coordinates, and the rounding
-            // of coordinates differs from tile to tile.
-            _ if task.others > 0 => options.hosting.alone(options.worlds),
+            _ if task.is_hosted_alone() => options.hosting.alone(options.worlds),
             Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
             Driver::Agents | Driver::Rules => options.hosting,
         };
@@ -170,8 +168,8 @@ impl VecEnv {
                 };
                 Ok(Host {
                     simulation,
-                    forgetful: options.driver == Driver::Sumo || task.others > 0,
-                    seeded: task.others > 0,
+                    forgetful: options.driver == Driver::Sumo || task.is_hosted_alone(),
+                    seeded: task.is_hosted_alone(),
                     first,
                     worlds: (first..end).map(world).collect(),
                     commands: Vec::new(),
