@@ -162,6 +162,39 @@ impl Task {
         self.agents + self.others
     }
 
+    /// Returns the share of the vehicles of an episode whose route needs a lane change, in expectation.
+    pub(crate) fn lane_change_share(&self) -> f64 {
+        let needs = |route: usize| f64::from(u8::from(self.map.lane_change[route].is_finite()));
+        let mean = |routes: &mut dyn Iterator<Item = (usize, f64)>| {
+            let [sum, all] = routes.fold([0.0, 0.0], |[sum, all], (route, weight)| {
+                [sum + weight * needs(route), all + weight]
+            });
+            if all > 0.0 { sum / all } else { 0.0 }
+        };
+        let horizon =
+            f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
+        let (places, plan) = (self.places.len().max(1) as f64, &self.map.plan);
+        let placed = (self.starting + self.placed) as f64;
+        let mut shares: Vec<(f64, f64)> = (self.places.iter())
+            .map(|place| {
+                let mut routes = place.routes.iter().map(|&route| (route, 1.0));
+                (placed / places, mean(&mut routes))
+            })
+            .collect();
+        for source in &plan.sources {
+            let departures = source.departures.iter().filter_map(|&(departure, weight)| {
+                let departure = &plan.departures[departure?];
+                departure.walk.is_none().then_some((departure.route, weight))
+            });
+            let mut departures = departures.peekable();
+            if departures.peek().is_some() {
+                shares.push((source.expected(horizon), mean(&mut departures)));
+            }
+        }
+        let vehicles: f64 = shares.iter().map(|(count, _)| count).sum();
+        shares.iter().map(|(count, share)| count * share).sum::<f64>() / vehicles.max(1e-9)
+    }
+
     /// Returns the dimensions of an action with this steering and throttle, each -1 to 1, which keeps
     /// the lane; further numbers follow.
     pub(crate) fn action(&self, steer: f64, throttle: f64) -> [f64; 2] {
@@ -349,6 +382,10 @@ impl Task {
     }
 }
 
+/// Factor on the noise of the action dimension that asks for a lane. With the noise of the throttle,
+/// a vehicle would ask for another lane in most steps.
+const LANE_NOISE: f32 = 0.5;
+
 /// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
 /// brake, then the lane, if actions change lanes.
 ///
@@ -360,9 +397,10 @@ fn actions(control: &Control) -> Vec<ActionDimension> {
         initial_mean: control.initial_throttle as f32,
         ..ActionDimension::named("throttle")
     };
+    let lane = ActionDimension { noise_scale: LANE_NOISE, ..ActionDimension::named("lane") };
     match control.lane_change {
         _ if control.steering.is_some() => vec![steer, throttle],
-        LaneChange::Action => vec![throttle, ActionDimension::named("lane")],
+        LaneChange::Action => vec![throttle, lane],
         LaneChange::None | LaneChange::Route => vec![throttle],
     }
 }

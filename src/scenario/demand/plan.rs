@@ -70,14 +70,6 @@ pub struct PlannedSource {
     pub spacing: Spacing,
 }
 
-impl Source {
-    /// Returns how messages call this vehicle, person or flow.
-    pub fn name(&self) -> String {
-        let file = self.place.path.file_name().unwrap_or_default().to_string_lossy();
-        format!("{} ({file}:{})", shorten(&self.id), self.place.line)
-    }
-}
-
 impl Demand {
     /// Returns what departs in an episode of `horizon` seconds, which begins at `begin` of the
     /// files' time \[s\].
