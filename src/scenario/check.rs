@@ -6,7 +6,9 @@ use std::collections::BTreeSet;
 use roxmltree::Node;
 
 use super::model::ALL;
-use super::{AgentRange, Demand, DemandPlan, Error, Net, Place, Route, Scenario, reader::Reader};
+use super::{
+    AgentRange, Demand, DemandPlan, Error, LeftOut, Net, Place, Route, Scenario, reader::Reader,
+};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -71,7 +73,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
                 .map(|departure| departure.route)
                 .collect();
             if driven.is_empty() && net.capacity() == 0 && !demand.sources.is_empty() {
-                errors.push(no_agent(scenario, reader));
+                errors.push(no_agent(scenario, &plan, reader));
                 return None;
             }
             for route in driven {
@@ -157,9 +159,15 @@ fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), E
 }
 
 /// Returns the error of a scenario without spawn places in which no agent ever departs.
-fn no_agent(scenario: &Scenario, reader: &Reader) -> Error {
+fn no_agent(scenario: &Scenario, plan: &DemandPlan, reader: &Reader) -> Error {
     let (key, named) = named(scenario);
-    let allowed = "vehicles that can be used and depart within an episode";
+    let reason = plan.left_out.first().map_or_else(
+        String::new,
+        |LeftOut { element, id, reason, .. }| {
+            format!(" (the {element} `{}` is left out: {reason})", shorten(id))
+        },
+    );
+    let allowed = format!("vehicles that can be used and depart within an episode{reason}");
     Error::value(reader.place_in("agents", key), "agents", key, &named, allowed)
 }
 

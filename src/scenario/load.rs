@@ -8,8 +8,8 @@ use std::sync::Arc;
 use super::attribute::Field;
 use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
-    AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange, Net,
-    Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
+    AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange,
+    Net, Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
 };
 use crate::sumo::net::{CARS, NetError, did_you_mean, nearest, shorten};
 
@@ -300,7 +300,10 @@ fn control(root: &Element) -> Result<Control, Error> {
             return refuse("mode", "`steering`, because the element contains <steering>");
         }
         (Some("steering"), Some(_)) if control.lane_change != LaneChange::None => {
-            return refuse("laneChange", "`none`, because vehicles that steer change lanes by steering");
+            return refuse(
+                "laneChange",
+                "`none`, because vehicles that steer change lanes by steering",
+            );
         }
         _ => {}
     }

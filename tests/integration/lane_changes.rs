@@ -50,8 +50,8 @@ fn forked(folder: &Path, more: &str, files: &str) -> PathBuf {
     let (agents, places) = if files.is_empty() {
         (
             "",
-            r#"<spawn route="on" first="15" spacing="30" count="3"/>
-               <spawn route="off" first="30" spacing="30" count="3"/>"#,
+            r#"<spawn route="on" first="15" spacing="60" count="2"/>
+               <spawn route="off" first="45" spacing="60" count="2"/>"#,
         )
     } else {
         (r#" vehicles="*""#, "")
@@ -59,7 +59,7 @@ fn forked(folder: &Path, more: &str, files: &str) -> PathBuf {
     let text = format!(
         r#"<scenario name="fork">
     <description>Agents change to the lane of their route.</description>
-    <agents min="1" max="6" default="6"{agents}/>
+    <agents min="1" max="4" default="4"{agents}/>
     <routes>
         <route id="on" edges="in mid on" lane="0" arrivalPos="-5"/>
         <route id="off" edges="in mid off" lane="1" arrivalPos="-5"/>
@@ -94,7 +94,7 @@ fn task(file: &Path, agents: u32) -> Arc<Task> {
 /// Returns the road with two lanes of `scenarios/overtaking.xml`, without slow vehicles.
 fn road(agents: u32, change: LaneChange) -> Arc<Task> {
     let mut scenario = shipped("overtaking");
-    scenario.traffic.penetration = 1.0;
+    (scenario.traffic.penetration, scenario.agents.min) = (1.0, 1);
     (scenario.jitter.lateral, scenario.control.lane_change) = (0.0, change);
     Arc::new(Task::new(&scenario, agents).expect("a task"))
 }
@@ -107,17 +107,17 @@ fn steady() -> Policy<'static> {
 #[test]
 fn sumo_changes_to_the_lane_that_the_route_needs() {
     let folder = folder();
-    let task = task(&forked(folder.path(), r#"laneChange="route""#, ""), 6);
+    let task = task(&forked(folder.path(), r#"laneChange="route""#, ""), 4);
     let evaluation = play(&task, &steady(), 4, Seed::new(3));
     let metrics = evaluation.metrics().expect("episodes");
     assert_eq!((metrics.success.mean, metrics.crash.mean), (1.0, 0.0), "{metrics:?}");
     // Everybody drives as far as on the right lane, whatever the route that they are on is called.
     let reward = metrics.reward.mean;
-    assert!((500.0..600.0).contains(&reward), "progress from 15..90 m to 590 m, and 10: {reward}");
+    assert!((500.0..600.0).contains(&reward), "progress from 15..105 m to 595 m, and 10: {reward}");
 
     // Whoever keeps the wrong lane stands at its end.
     let folder = crate::support::folder();
-    let asked = self::task(&forked(folder.path(), r#"laneChange="action""#, ""), 6);
+    let asked = self::task(&forked(folder.path(), r#"laneChange="action""#, ""), 4);
     let metrics = play(&asked, &steady(), 2, Seed::new(3)).metrics().expect("episodes");
     assert_eq!((metrics.success.mean, metrics.crash.mean), (0.0, 0.0), "{metrics:?}");
 }
@@ -125,7 +125,7 @@ fn sumo_changes_to_the_lane_that_the_route_needs() {
 #[test]
 fn sumos_driver_changes_lanes_where_agents_may() {
     let folder = folder();
-    let task = task(&forked(folder.path(), r#"laneChange="action""#, ""), 6);
+    let task = task(&forked(folder.path(), r#"laneChange="action""#, ""), 4);
     let metrics = play(&task, &Policy::Sumo, 3, Seed::new(3)).metrics().expect("episodes");
     assert_eq!((metrics.success.mean, metrics.crash.mean), (1.0, 0.0), "{metrics:?}");
 }
@@ -142,11 +142,13 @@ fn a_route_with_a_lane_change_is_refused_where_agents_keep_their_lanes() {
     assert!(error.contains("laneChange") && error.contains("route"), "{error}");
 }
 
-/// Returns a route file in which a vehicle on each route begins on the wrong lane every 6 s.
-fn flows(folder: &Path) -> &'static str {
+/// Writes a route file in which vehicles begin on the wrong lanes, one every `gap` seconds and on
+/// alternate routes; returns the element that names it.
+fn flows(folder: &Path, gap: u32) -> &'static str {
     let flow = |id: &str, lane: u32| {
+        let (begin, period) = (lane * gap, 2 * gap);
         format!(
-            r#"<flow id="{id}" type="car" from="in" to="{id}" period="6" departLane="{lane}" departSpeed="5"/>"#
+            r#"<flow id="{id}" type="car" from="in" to="{id}" begin="{begin}" period="{period}" departLane="{lane}" departSpeed="5"/>"#
         )
     };
     let text = format!(
@@ -161,21 +163,20 @@ fn flows(folder: &Path) -> &'static str {
 #[test]
 fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
     let folder = folder();
-    let files = flows(folder.path());
-    let kept = Scenario::load(&forked(folder.path(), "", files)).expect("a scenario");
-    let task = Task::new(&kept, 4);
-    let left_out = task.map(|task| task.left_out());
-    let Ok(Some(left_out)) = left_out else { panic!("two flows are left out: {left_out:?}") };
-    assert!(left_out.contains("laneChange of <control>"), "{left_out}");
+    let files = flows(folder.path(), 12);
+    let error = Scenario::load(&forked(folder.path(), "", files)).expect_err("nobody is left");
+    let text = error.to_string();
+    assert!(text.contains("flow `on`") && text.contains("laneChange of <control>"), "{text}");
 
     let file = forked(folder.path(), r#"laneChange="route""#, files);
     let mut scenario = Scenario::load(&file).expect("a scenario");
-    scenario.termination.horizon = 600;
+    scenario.termination.horizon = 1000;
     let task = Arc::new(Task::new(&scenario, 4).expect("a task"));
     assert_eq!(task.left_out(), None);
-    let episodes = play(&task, &steady(), 2, Seed::new(3)).episodes;
+    let fast = Policy::Pursuit(Pursuit { speed: 15.0, gives_way: true });
+    let episodes = play(&task, &fast, 2, Seed::new(3)).episodes;
     let flows = episodes.iter().map(|record| record.flow.expect("a flow"));
-    assert!(flows.clone().all(|flow| flow.arrived >= 2), "{:?}", flows.collect::<Vec<_>>());
+    assert!(flows.clone().all(|flow| flow.arrived >= 4), "{:?}", flows.collect::<Vec<_>>());
     assert!(episodes.iter().all(|record| record.crash == 0.0), "nobody crashes");
 
     // Vehicles that SUMO drives change lanes in any case.
@@ -184,15 +185,14 @@ fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
         r#"<net file="fork.net.xml"></net>"#,
         r#"<net file="fork.net.xml"><spawn route="straight" first="100" spacing="30" count="1"/></net>"#,
     );
-    let text = text.replace(r#"max="6" default="6""#, r#"max="1" default="1""#).replace(
+    let text = text.replace(r#"max="4" default="4""#, r#"max="1" default="1""#).replace(
         "<nets>",
         r#"<routes><route id="straight" edges="in mid on" lane="1" arrivalPos="-5"/></routes><nets>"#,
     );
     fs::write(&file, text).unwrap();
     let task = self::task(&file, 1);
     assert_eq!(task.left_out(), None);
-    let mut env =
-        VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
+    let mut env = VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
     let mut furthest = 0.0_f64;
     for _ in 0..600 {
         env.step(&[-1.0]).expect("a step");
@@ -205,7 +205,10 @@ fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
 #[test]
 fn a_request_ends_on_the_lane_that_it_asks_for() {
     let task = road(1, LaneChange::Action);
-    assert_eq!(task.spec.actions.iter().map(|of| of.name).collect::<Vec<_>>(), ["throttle", "lane"]);
+    assert_eq!(
+        task.spec.actions.iter().map(|of| of.name).collect::<Vec<_>>(),
+        ["throttle", "lane"]
+    );
     let mut env = VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
     let mut step = |asked: f32| {
         env.step(&[0.4, asked]).expect("a step");
@@ -323,8 +326,7 @@ impl Own {
 fn observed_gaps_are_sumos() {
     let task = road(8, LaneChange::Action);
     let mut own = Own::start(&task);
-    let mut world =
-        World::new(Arc::clone(&task), Driver::Agents, Seed::new(11), 0, 1, u64::MAX);
+    let mut world = World::new(Arc::clone(&task), Driver::Agents, Seed::new(11), 0, 1, u64::MAX);
     world.reset(0);
     let mut rng = Seed::new(4).rng();
     let (mut compared, mut beside) = (0, 0);
@@ -348,9 +350,13 @@ fn observed_gaps_are_sumos() {
         for agent in (0..8).filter(|agent| frame.active[*agent] > 0.0) {
             for (side, mode) in [("lane_left", 0), ("lane_right", 1)] {
                 for (who, ahead) in [("leader", 2), ("follower", 0)] {
-                    let reported =
-                        own.sumo.vehicle().get_neighbors(&format!("v{agent}"), mode | ahead).unwrap();
-                    let of = |what: &str| observed(&task, frame, agent, &format!("{side}.{who}{what}"));
+                    let reported = own
+                        .sumo
+                        .vehicle()
+                        .get_neighbors(&format!("v{agent}"), mode | ahead)
+                        .unwrap();
+                    let of =
+                        |what: &str| observed(&task, frame, agent, &format!("{side}.{who}{what}"));
                     let gap = f64::from(of("_gap_far")) * 50.0;
                     let nearest = reported.iter().map(|neighbour| neighbour.gap);
                     let nearest = nearest.min_by(f64::total_cmp);
@@ -393,24 +399,26 @@ fn steps(env: &mut VecEnv, task: &Task, count: usize) -> Vec<Vec<Frame>> {
 #[test]
 fn lane_changes_are_the_same_on_both_backends_and_after_a_restart() {
     let folder = folder();
-    let files = flows(folder.path());
+    let files = flows(folder.path(), 3);
     for mode in ["route", "action"] {
         let file = forked(folder.path(), &format!("laneChange=\"{mode}\""), files);
         let task = task(&file, 4);
-        let options = |worlds, backend| {
-            agents_drive(worlds, 4, Hosting { backend, ..Hosting::default() })
-        };
+        let options =
+            |worlds, backend| agents_drive(worlds, 4, Hosting { backend, ..Hosting::default() });
         let watch = |backend| {
             let _turn = turn(backend);
             let mut env = VecEnv::new(&task, &options(1, backend)).expect("SUMO runs");
-            steps(&mut env, &task, 300)
+            steps(&mut env, &task, 800)
         };
         let frames = watch(Backend::Traci);
         let began = frames[1..].iter().map(|frame| frame[0].start.iter().sum::<f32>());
-        assert!(began.sum::<f32>() > 4.0, "slots are used again");
+        let began = began.sum::<f32>();
+        assert!(began > 4.0, "{mode}: slots are used again: {began}");
         // Nothing of the lane changes of a slot's last agent is left.
         for frame in &frames {
-            for agent in (0..4).filter(|agent| frame[0].start[*agent] > 0.0 && frame[0].active[*agent] > 0.0) {
+            for agent in
+                (0..4).filter(|agent| frame[0].start[*agent] > 0.0 && frame[0].active[*agent] > 0.0)
+            {
                 assert_eq!(observed(&task, &frame[0], agent, "lane.lane_time"), 0.0);
             }
         }

@@ -18,9 +18,9 @@ use iwol_sumo::{
     evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange, Lidar,
-        NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario, Severity,
-        SpawnRow, Steering, Termination, Traffic, Vehicle,
+        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange,
+        Lidar, NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario,
+        Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,

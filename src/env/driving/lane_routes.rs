@@ -89,7 +89,8 @@ impl LaneRoutes {
                     let Some(path) = net.route_path_on(&edges[base][k..], lane) else { continue };
                     let same = |(other, known): (usize, &Path)| {
                         let base_of = other.checked_sub(edges.len()).map(|k| routes.like[k]);
-                        known.lanes == path.lanes && finish[base_of.unwrap_or(other)] == finish[base]
+                        known.lanes == path.lanes
+                            && finish[base_of.unwrap_or(other)] == finish[base]
                     };
                     let known = paths.iter().enumerate().position(same);
                     let route = known.unwrap_or(paths.len());

@@ -200,7 +200,9 @@ impl Map {
         let front = slot.s + slot.size[0] / 2.0;
         let mut stretches = self.routes[slot.route].lanes().lane_stretches();
         stretches.any(|(lane, from, to)| {
-            Some(lane as u32) == slot.lane && (from..to).contains(&(front + distance)) && from <= front
+            Some(lane as u32) == slot.lane
+                && (from..to).contains(&(front + distance))
+                && from <= front
         })
     }
 

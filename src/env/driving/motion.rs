@@ -68,7 +68,11 @@ pub(super) fn act(
                 if !task.steers(driver) {
                     commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
                     if task.changes_lanes() {
-                        commands.push(Command::LaneChangeMode { world, slot: at, mode: ON_REQUEST });
+                        commands.push(Command::LaneChangeMode {
+                            world,
+                            slot: at,
+                            mode: ON_REQUEST,
+                        });
                     }
                 } else if slot.track != Track::Lost {
                     move_to_pose(task, world, at, slot, commands);

@@ -171,8 +171,7 @@ impl Task {
             });
             if all > 0.0 { sum / all } else { 0.0 }
         };
-        let horizon =
-            f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
+        let horizon = f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
         let (places, plan) = (self.places.len().max(1) as f64, &self.map.plan);
         let placed = (self.starting + self.placed) as f64;
         let mut shares: Vec<(f64, f64)> = (self.places.iter())
