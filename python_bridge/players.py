@@ -77,8 +77,8 @@ def calls(sumo, workload, steps, subscribed):
             yield cars.moveToXY, (vehicle, "", -1, float(x), float(y), float(angle), keep_route)
         elif name == "speed_mode":
             yield cars.setSpeedMode, (vehicle, rest[0])
-        elif name == "keep_lane":
-            yield cars.setLaneChangeMode, (vehicle, 0)
+        elif name == "lane_change_mode":
+            yield cars.setLaneChangeMode, (vehicle, rest[0])
         elif name == "add":
             route, kind, pos, speed = rest
             departure = ("now", "first", repr(float(pos)), repr(float(speed)))

@@ -102,9 +102,9 @@ fn copy(checkpoint: &Checkpoint, run: &Path, out: &Path) -> anyhow::Result<()> {
         record::write_atomic(&dir.meta(), &bytes)?;
     }
     // So is the scenario, whose paths are relative to its folder.
-    let scenario = RunDir::of(&args.run).map(|run| run.scenario()).filter(|file| file.is_file());
+    let scenario = RunDir::of(run).map(|run| run.scenario()).filter(|file| file.is_file());
     if let Some(file) = scenario {
-        let text = Scenario::read(&file)?.to_xml_in(&args.out).with_context(|| {
+        let text = Scenario::read(&file)?.to_xml_in(out).with_context(|| {
             format!("cannot find the net or the route files of `{}`", file.display())
         })?;
         record::write_atomic(&dir.scenario(), text.as_bytes())?;

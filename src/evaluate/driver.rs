@@ -73,11 +73,9 @@ impl<'a> PolicyDriver<'a> {
         let width = self.task.agents * self.task.spec.actions.len();
         match self.policy {
             Policy::Throttle(throttle) => {
-                // With two actions, the first is the steering.
-                let actions = self.task.spec.actions.len();
-                for action in self.actions.chunks_mut(actions) {
-                    action.fill(0.0);
-                    action[actions - 1] = *throttle;
+                let values = self.task.action(0.0, f64::from(*throttle));
+                for action in self.actions.chunks_mut(self.task.spec.actions.len()) {
+                    action.iter_mut().zip(values).for_each(|(to, from)| *to = from as f32);
                 }
             }
             Policy::Pursuit(pursuit) => {

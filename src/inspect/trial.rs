@@ -15,8 +15,9 @@ use crate::words::counted;
 
 /// Range of the agents' desired speeds, as shares of the maximum speed.
 const SHARES: std::ops::Range<f64> = 0.3..1.0;
-/// Amplitude of the noise on throttle, brake and steering.
-const NOISE: f64 = 0.3;
+/// Amplitude of the noise on throttle, brake and steering, and of that on the lane that agents ask
+/// for: so large that they change lanes.
+const NOISE: [f64; 2] = [0.3, 0.6];
 /// Maximum number of names that a finding lists.
 const NAMED: usize = 8;
 
@@ -36,6 +37,8 @@ pub struct Trial {
     pub flat_out: [usize; 2],
     /// Largest number of other routes with which a route has a conflict before its finish.
     pub meetings: usize,
+    /// Share of the vehicles whose route needs a lane change.
+    pub lane_changes: f64,
     /// Steps per second of one world.
     pub steps_per_second: f64,
     /// Routes of the vehicles that collided in the first step of an episode, sorted.
@@ -95,6 +98,7 @@ impl Trial {
             lost: 0,
             flat_out: [0; 2],
             meetings: task.map.routes.iter().map(meetings).max().unwrap_or(0),
+            lane_changes: task.lane_change_share(),
             steps_per_second: 0.0,
             collided_at_once: Vec::new(),
             observation: ranges(&task.spec.observation),
@@ -109,13 +113,14 @@ impl Trial {
             let mut noise = own.index(u64::from(world.step_count())).rng();
             for (i, acts) in actions.chunks_mut(width).enumerate() {
                 let (share, noisy) = if is_flat_out(world.episode()) {
-                    (1.0, 0.0)
+                    (1.0, [0.0; 2])
                 } else {
                     (own.child("speed").index(i as u64).rng().random_range(SHARES), NOISE)
                 };
-                let wanted = world.pursuit(i, share * scenario.vehicle.max_speed);
-                // A single action is the throttle.
-                for (act, wanted) in acts.iter_mut().zip(&wanted[2 - width..]) {
+                let [steer, throttle] = world.pursuit(i, share * scenario.vehicle.max_speed);
+                let wanted = task.action(steer, throttle);
+                for ((act, wanted), of) in acts.iter_mut().zip(wanted).zip(&task.spec.actions) {
+                    let noisy = noisy[usize::from(of.name == "lane")];
                     *act = (wanted + noisy * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
                 }
                 if frame.active[i] > 0.0 {

@@ -193,7 +193,7 @@ fn route(
     node: Node,
     reader: &Reader,
 ) -> Result<Path, Error> {
-    let path = map.route_path_from(&route.edges, route.lane).map_err(|source| Error::Route {
+    let path = scenario.route_path(map, route).map_err(|source| Error::Route {
         place: reader.place(node, "edges"),
         route: shorten(&route.id),
         source: Box::new(source),

@@ -8,10 +8,10 @@ use std::sync::Arc;
 use super::attribute::Field;
 use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
-    AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, Net,
-    Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
+    AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange,
+    Net, Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
 };
-use crate::sumo::net::{did_you_mean, nearest, shorten};
+use crate::sumo::net::{CARS, NetError, did_you_mean, nearest, shorten};
 
 /// Largest number of spawn places in a net.
 const MAX_PLACES: u32 = 10_000;
@@ -61,13 +61,34 @@ impl Scenario {
         Reader::new(path, &document(text, path)?).scenario()
     }
 
+    /// Returns the path of a route of this scenario through a net; with lane changes, if agents make
+    /// any.
+    ///
+    /// # Errors
+    /// As [`Net::route_path_from`](crate::sumo::net::Net::route_path_from).
+    pub fn route_path(
+        &self,
+        net: &crate::sumo::net::Net,
+        route: &Route,
+    ) -> Result<crate::sumo::net::Path, NetError> {
+        match self.control.lane_change {
+            LaneChange::None => net.route_path_from(&route.edges, route.lane),
+            _ => net.route_path_with_changes(&route.edges, route.lane, &[CARS]),
+        }
+    }
+
     /// Returns what of the route files departs in an episode in a net.
     ///
     /// # Errors
     /// As [`Demand::plan`]; the first vehicle that cannot be used, if [`Traffic::strict`].
     pub fn plan(&self, demand: &Demand, net: &crate::sumo::net::Net) -> Result<DemandPlan, Error> {
         let horizon = f64::from(self.termination.horizon) * self.control.interval;
-        let plan = demand.plan(net, self.traffic.begin.0, horizon)?;
+        let keeps_lane = |source| {
+            self.control.lane_change == LaneChange::None
+                && self.agents.come_from_files()
+                && self.agents.includes_some(demand, source)
+        };
+        let plan = demand.plan_where(net, self.traffic.begin.0, horizon, &keeps_lane)?;
         match plan.left_out.first() {
             Some(first) if self.traffic.strict => Err(first.error()),
             _ => Ok(plan),
@@ -277,6 +298,12 @@ fn control(root: &Element) -> Result<Control, Error> {
         }
         (Some("throttle"), Some(_)) => {
             return refuse("mode", "`steering`, because the element contains <steering>");
+        }
+        (Some("steering"), Some(_)) if control.lane_change != LaneChange::None => {
+            return refuse(
+                "laneChange",
+                "`none`, because vehicles that steer change lanes by steering",
+            );
         }
         _ => {}
     }

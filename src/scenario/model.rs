@@ -102,7 +102,7 @@ element! {
         /// Edge ids in driving order.
         pub edges: Vec<String>,
         /// Lane of the first edge, counted from the right and starting at 0. Default: the rightmost
-        /// lane from which the route can be driven without changing lanes.
+        /// lane from which the route can be driven with the fewest lane changes.
         pub lane: Option<u32>,
         /// Finish line of the agent: position on the last edge \[m\]; a negative value counts from
         /// the end of the edge.
@@ -159,12 +159,28 @@ element! {
         /// exploration noise where brakes are stronger than the engine; the larger the value, the
         /// sooner all vehicles drive at full throttle.
         pub initial_throttle: f64,
+        /// Who changes the lanes of vehicles that do not steer.
+        pub lane_change: LaneChange,
         /// Parameters of a vehicle that steers. With them, an action has two components: steering,
         /// then throttle and brake. Without them, throttle and brake are the only component, and
         /// SUMO keeps the vehicle on its route.
         pub steering: Option<Steering>,
     }
 }
+
+/// Who changes the lanes of agents that do not steer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum LaneChange {
+    /// Nobody: agents keep their lanes.
+    #[default]
+    None,
+    /// SUMO's lane change model, where the route needs another lane or others need room.
+    Route,
+    /// The agent: a second dimension of its actions asks for the lane to the left or to the right.
+    Action,
+}
+
+words!(LaneChange { None: "none", Route: "route", Action: "action" });
 
 /// The child element `<steering>`.
 impl Field for Option<Steering> {

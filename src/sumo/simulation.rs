@@ -113,12 +113,24 @@ pub enum Command {
         /// Speed mode bits.
         mode: i32,
     },
-    /// Stops SUMO from changing the vehicle's lane.
-    KeepLane {
+    /// Sets SUMO's lane change mode bits (0: SUMO changes lanes only on request, and then whoever is
+    /// in the way).
+    LaneChangeMode {
         /// World number.
         world: u32,
         /// Slot of the world.
         slot: u32,
+        /// Lane change mode bits.
+        mode: i32,
+    },
+    /// Changes to a neighbouring lane in the coming step.
+    ChangeLane {
+        /// World number.
+        world: u32,
+        /// Slot of the world.
+        slot: u32,
+        /// SUMO's index of the lane on its edge.
+        lane: u32,
     },
     /// Moves the vehicle to a pose, which it has at the end of the next step (TraCI's `moveToXY`).
     MoveTo {

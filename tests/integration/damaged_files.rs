@@ -234,7 +234,8 @@ fn drive(task: Task, rng: &mut Rng) {
                 // A vehicle that departs waits to be inserted.
                 Command::Depart { .. }
                 | Command::SpeedMode { .. }
-                | Command::KeepLane { .. }
+                | Command::LaneChangeMode { .. }
+                | Command::ChangeLane { .. }
                 | Command::MoveTo { .. }
                 | Command::StartPhase { .. } => {}
             }

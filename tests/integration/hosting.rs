@@ -142,7 +142,7 @@ fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleSt
                     depart_speed: 0.0,
                 });
                 commands.push(Command::SpeedMode { world, slot, mode: 32 });
-                commands.push(Command::KeepLane { world, slot });
+                commands.push(Command::LaneChangeMode { world, slot, mode: 0 });
             } else {
                 let way = f64::from(step) * (5.0 + 0.37 * f64::from(slot)) * interval;
                 let ([x, y], heading, _) =

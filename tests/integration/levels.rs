@@ -323,8 +323,8 @@ impl Asked {
                     self.departed.insert(*slot, 0.0);
                     (slot, [route, lane, pos, speed].map(String::from))
                 }
-                Order::KeepLane { slot, .. } => {
-                    self.sumo.vehicle().set_lane_change_mode(&slot.to_string(), 0).unwrap();
+                Order::LaneChangeMode { slot, mode, .. } => {
+                    self.sumo.vehicle().set_lane_change_mode(&slot.to_string(), *mode).unwrap();
                     continue;
                 }
                 Order::Remove { slot, .. } => {

@@ -14,6 +14,7 @@ mod damaged_files;
 mod dependencies;
 mod flows;
 mod hosting;
+mod lane_changes;
 mod layers;
 mod learners;
 mod levels;

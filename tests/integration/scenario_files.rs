@@ -18,9 +18,9 @@ use iwol_sumo::{
     evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
     rng::Seed,
     scenario::{
-        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, Lidar,
-        NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario, Severity,
-        SpawnRow, Steering, Termination, Traffic, Vehicle,
+        AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange,
+        Lidar, NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario,
+        Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -430,6 +430,8 @@ prop_compose! {
             control: Control {
                 interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,
                 initial_throttle: 2.0 * share - 1.0,
+                // Vehicles that steer have no other lane changes.
+                lane_change: LaneChange::NAMES[if counts[0] % 2 == 1 { 0 } else { counts[1] % 3 }].1,
                 steering: (counts[0] % 2 == 1).then(|| Steering {
                     max_angle: 0.1 + f64::from(counts[2] as u32), track: 0.1 + share, friction: 0.01 + fewer,
                     reverse: counts[1] % 2 == 1, ..Steering::default()

@@ -72,11 +72,12 @@ impl Own {
                 Command::SpeedMode { slot, mode, .. } => {
                     self.sumo.vehicle().set_speed_mode(&vehicle(slot), mode).unwrap();
                 }
-                Command::KeepLane { slot, .. } => {
-                    self.sumo.vehicle().set_lane_change_mode(&vehicle(slot), 0).unwrap();
+                Command::LaneChangeMode { slot, mode, .. } => {
+                    self.sumo.vehicle().set_lane_change_mode(&vehicle(slot), mode).unwrap();
                 }
                 Command::Depart { .. } => panic!("nobody is driven by SUMO here"),
                 Command::StartPhase { .. } => panic!("no traffic lights here"),
+                Command::ChangeLane { .. } => panic!("who steers changes lanes by steering"),
                 Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
                     let angle = (90.0 - heading.to_degrees()).rem_euclid(360.0);
                     let placement = Placement { angle, keep_route, ..Placement::default() };

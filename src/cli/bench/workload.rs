@@ -168,9 +168,12 @@ fn exported(command: &Command) -> Value {
         Command::Remove { slot, .. } => json!(["remove", slot]),
         Command::SetSpeed { slot, speed, .. } => json!(["speed", slot, speed]),
         Command::SpeedMode { slot, mode, .. } => json!(["speed_mode", slot, mode]),
-        Command::KeepLane { slot, .. } => json!(["keep_lane", slot]),
-        Command::Depart { .. } => unreachable!("the workload has agents only"),
-        Command::StartPhase { .. } => unreachable!("the workload starts no traffic lights"),
+        Command::LaneChangeMode { slot, mode, .. } => json!(["lane_change_mode", slot, mode]),
+        Command::Depart { .. } | Command::ChangeLane { .. } | Command::StartPhase { .. } => {
+            unreachable!(
+                "the workload has agents only, which keep their lanes, and no traffic lights"
+            )
+        }
         Command::MoveTo { slot, x, y, heading, keep_route, .. } => {
             json!(["move", slot, x, y, (90.0 - heading.to_degrees()).rem_euclid(360.0), keep_route])
         }

@@ -157,6 +157,9 @@ fn print_trial(trial: &Trial) {
             range.unit
         );
     }
+    if trial.lane_changes > 0.0 {
+        tell!("lane changes: {:.0} % of the vehicles need one", 100.0 * trial.lane_changes);
+    }
     tell!(
         "trial: {}, {}, {} ended, {:.0} steps/s of one world",
         counted(trial.agents, "agent"),

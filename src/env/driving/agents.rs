@@ -52,6 +52,8 @@ pub(crate) struct Slot {
     pub(crate) before: Pose,
     /// Position of the centre along the route \[m\].
     pub(crate) s: f64,
+    /// The same one step before, on the present route \[m\].
+    pub(crate) s_before: f64,
     /// Forward speed, negative backwards \[m/s\].
     pub(crate) speed: f64,
     /// Offset from the route's path, positive to the left \[m\].
@@ -85,9 +87,10 @@ pub(crate) struct Slot {
     pub(crate) priority: u32,
     /// Group of the route's conflicts for which the vehicle has its priority.
     pub(crate) conflict_group: usize,
-    /// Route that a background vehicle was given; `route` is the one along the lane that it is on.
+    /// Route that the vehicle was given; `route` is the one along the lane that it is on.
     pub(crate) assigned: usize,
-    /// Lane that SUMO last reported for a background vehicle, as an index into the net's lanes.
+    /// Lane that SUMO last reported for a background vehicle, or for an agent that may change lanes,
+    /// as an index into the net's lanes.
     pub(crate) lane: Option<u32>,
     /// Number of stop lines of its route that an agent has passed, or had behind it from the start.
     pub(crate) lines_passed: usize,
@@ -97,6 +100,10 @@ pub(crate) struct Slot {
     pub(crate) red_lights: u32,
     /// The signal that the vehicle comes to next.
     pub(crate) next_signal: Option<NextSignal>,
+    /// Steps for which an agent keeps its lane after a lane change.
+    pub(crate) lane_steps: u32,
+    /// SUMO's vehicle class of an agent.
+    pub(crate) class: &'static str,
     /// How the agent's episode has ended.
     pub(crate) outcome: Outcome,
     /// The agent's first crash.

@@ -2,8 +2,8 @@
 //! the vehicles of the route files depart and which of them are agents, reads where background
 //! traffic is, and turns its vehicles into wrecks after collisions.
 //!
-//! A background vehicle is on the lane that SUMO reports: after a change of lanes, its route becomes
-//! the one along the new lane ([`LaneRoutes`](super::lane_routes::LaneRoutes)).
+//! A vehicle that may change lanes is on the lane that SUMO reports: after a lane change, its route
+//! becomes the one along the new lane ([`LaneRoutes`](super::lane_routes::LaneRoutes)).
 //!
 //! Background traffic occupies the slots behind the agents'. First come the vehicles that start at
 //! spawn places, then those of the route files, as many as the scenario's capacity allows. Agents
@@ -19,7 +19,7 @@ use super::departure::Departure;
 use super::effects::Effects;
 use super::geometry::Pose;
 use super::metrics::BackgroundMetrics;
-use super::motion::{NO_CHECKS, SUMO_CHECKS};
+use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
 use super::task::{Driver, Task};
 use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
@@ -200,17 +200,23 @@ impl Background {
             let planned = &task.map.plan.departures;
             let route = planned[due.departure].route;
             let departure = Some(Departure::new(task, due.departure, due.time));
-            slots[i] =
-                Slot { route, assigned: route, size, added: true, departure, ..Slot::default() };
+            let class = task.demand.types[due.kind].class;
+            slots[i] = Slot {
+                route,
+                assigned: route,
+                class,
+                size,
+                added: true,
+                departure,
+                ..Slot::default()
+            };
             let (slot, departure) = (i as u32, (planned.len() + due.departure) as u32);
             let mode = if self.driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
             // Agents make no stops.
             let until_from_now = 0.0;
             commands.push(Command::Depart { world, slot, departure, vehicle_type, until_from_now });
             commands.push(Command::SpeedMode { world, slot, mode });
-            if task.map.several_lanes {
-                commands.push(Command::KeepLane { world, slot });
-            }
+            commands.extend(lane_change_mode(task, self.driver, world, slot));
         }
     }
 
@@ -268,20 +274,14 @@ impl Background {
             let pose =
                 Pose { x: body.x - half * cos, y: body.y - half * sin, heading: body.heading };
             let front = [body.x, body.y];
-            let road_user = &mut self.effects.road_users[i];
-            let moved = (slot.lane != body.lane).then(|| {
-                slot.lane = body.lane;
-                task.map.lane_routes.change(&task.map.routes, slot)
-            });
             let path = |slot: &Slot| task.map.routes[slot.route].lanes();
-            let (s, lateral, segment) = match moved.flatten() {
-                Some((route, segments)) => {
-                    slot.route = route;
-                    path(slot).nearest_of(front, *segments.start()..segments.end() + 1)
-                }
-                None if slot.departed => path(slot).project(front, slot.segment),
-                None => path(slot).nearest(front),
-            };
+            let road_user = &mut self.effects.road_users[i];
+            let (s, lateral, segment) =
+                match task.map.lane_routes.follow(&task.map.routes, slot, &body) {
+                    Some(on_new_lane) => on_new_lane,
+                    None if slot.departed => path(slot).project(front, slot.segment),
+                    None => path(slot).nearest(front),
+                };
             let route = &task.map.routes[slot.route];
             (slot.s, slot.segment) = (route.on_path(s - half), segment);
             // Pedestrians cut corners, so that their offset says nothing about the path ahead.

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 
 use rayon::prelude::*;
 
+use super::agents::Slot;
 use super::detour::path_around;
 use super::error::Error;
 use super::forks::Forks;
@@ -15,7 +16,7 @@ use super::levels::Levels;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::signals::TrafficLights;
-use crate::scenario::{Demand, DemandPlan, Scenario};
+use crate::scenario::{Demand, DemandPlan, LaneChange, Scenario};
 use crate::sumo::net::{EdgeFunction, Foes, Net, Path};
 
 /// A part of a route that lies in a junction.
@@ -57,10 +58,13 @@ pub struct Map {
     /// Corners of the bounding box of all routes: `[x_min, y_min, x_max, y_max]` \[m\].
     pub bounds: [f64; 4],
     /// Number of the routes that vehicles are given; those behind them lie on other lanes of the
-    /// same edges, and background vehicles come to be on them by changing lanes.
+    /// same edges, and vehicles come to be on them by changing lanes.
     pub(super) given: usize,
-    /// The routes by lane, for background vehicles.
+    /// The routes by lane, for vehicles that may change lanes.
     pub(super) lane_routes: LaneRoutes,
+    /// For each route, the position at which its first lane change has to be complete, as arc length
+    /// along its lanes \[m\]; infinite if it needs none.
+    pub(super) lane_change: Vec<f64>,
     /// Ids of the routes.
     pub(super) route_ids: Vec<String>,
     /// Edges of the routes.
@@ -99,7 +103,7 @@ impl Map {
         let net = Net::load(net_file)?;
         let mut lanes = Vec::with_capacity(scenario.routes.len());
         for route in &scenario.routes {
-            lanes.push(net.route_path_from(&route.edges, route.lane)?);
+            lanes.push(scenario.route_path(&net, route)?);
         }
         let mut route_ids: Vec<String> =
             scenario.routes.iter().map(|route| route.id.clone()).collect();
@@ -128,18 +132,27 @@ impl Map {
         }
         let given = lanes.len();
         let mut bases: Vec<usize> = Vec::new();
-        if scenario.traffic.penetration < 1.0 {
+        let agents_change = scenario.control.lane_change != LaneChange::None;
+        if scenario.traffic.penetration < 1.0 || agents_change {
             bases.extend(0..scenario.routes.len());
         }
         let driven = plan.departures.iter().filter(|departure| departure.walk.is_none());
         bases.extend(driven.map(|departure| departure.route));
-        let lane_routes = LaneRoutes::new(&net, &bases, &route_edges, &mut lanes);
+        // Vehicles of route files arrive where SUMO removes them: at the end of the route.
+        let mut finish: Vec<Option<f64>> =
+            scenario.routes.iter().map(|route| Some(route.arrival_pos)).collect();
+        finish.resize(given, None);
+        // Background vehicles arrive nowhere, so that they share routes by lane.
+        let shared = vec![None; given];
+        let of_lanes = if agents_change { &finish } else { &shared };
+        let lane_routes = LaneRoutes::new(&net, &bases, &route_edges, of_lanes, &mut lanes);
         for &route in &lane_routes.like {
             route_ids.push(route_ids[route].clone());
             route_edges.push(route_edges[route].clone());
+            finish.push(finish[route].filter(|_| agents_change));
         }
         let size = [scenario.vehicle.length, scenario.vehicle.width];
-        let routes = lay_routes(&net, scenario, &lanes, size);
+        let routes = lay_routes(&net, scenario, &lanes, &finish, size);
         let several = |&lane: &usize| net.carriageway(&net.edges[net.lanes[lane].edge]).len() > 1;
         let road_is_needed = scenario.control.steering.is_some()
             || scenario.observation.lidar.beams > 0
@@ -153,6 +166,9 @@ impl Map {
             free_time: lanes.iter().map(|path| free_time(&net, scenario, path)).collect(),
             junctions: lanes.iter().map(|path| junction_stretches(&net, path)).collect(),
             given,
+            lane_change: (lanes.iter())
+                .map(|path| path.lane_changes(&net).next().unwrap_or(f64::INFINITY))
+                .collect(),
             lane_routes,
             several_lanes: lanes.iter().any(|path| path.lanes.iter().any(several)),
             road: road.transpose()?,
@@ -188,6 +204,18 @@ impl Map {
         &self.net_file
     }
 
+    /// Returns whether the front of a vehicle is still on its lane after it has driven `distance`
+    /// metres.
+    pub(super) fn stays_on_lane(&self, slot: &Slot, distance: f64) -> bool {
+        let front = slot.s + slot.size[0] / 2.0;
+        let mut stretches = self.routes[slot.route].lanes().lane_stretches();
+        stretches.any(|(lane, from, to)| {
+            Some(lane as u32) == slot.lane
+                && (from..to).contains(&(front + distance))
+                && from <= front
+        })
+    }
+
     /// Returns where the front bumper of a vehicle is relative to its route, and the front's arc
     /// length along the route's lanes \[m\]. `front` is in the world's coordinates \[m\], and
     /// `segment` is the segment of the route's path on which the vehicle was last.
@@ -210,8 +238,15 @@ impl Map {
     }
 }
 
-/// Works out the routes along `lanes`, of which the first are the scenario's.
-fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec<RouteGeometry> {
+/// Works out the routes along `lanes` with the finish lines `finish` on their last edges; `None`: at
+/// the end.
+fn lay_routes(
+    net: &Net,
+    scenario: &Scenario,
+    lanes: &[Path],
+    finish: &[Option<f64>],
+    size: Size,
+) -> Vec<RouteGeometry> {
     let detour = |path: &Path| path_around(path, &scenario.control.steering?);
     let (mut driven, mut detoured) = (lanes.to_vec(), vec![false; lanes.len()]);
     for (path, detoured) in driven.iter_mut().zip(&mut detoured) {
@@ -221,8 +256,7 @@ fn lay_routes(net: &Net, scenario: &Scenario, lanes: &[Path], size: Size) -> Vec
     }
     let levels = Levels::new(net);
     let lay = |a: usize| {
-        // Vehicles of route files arrive where SUMO removes them: at the end of the route.
-        let arrival = scenario.routes.get(a).map(|route| route.arrival_pos);
+        let arrival = finish[a];
         let mut route = geometry(&levels, &driven, &detoured, a, arrival.unwrap_or(-1.0), size);
         if arrival.is_none() {
             route.arrival = driven[a].length();

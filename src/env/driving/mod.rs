@@ -18,7 +18,7 @@ mod forks;
 mod frame;
 pub(super) mod geometry;
 pub(super) mod intention;
-mod lane_routes;
+pub(crate) mod lane_routes;
 mod layout;
 mod levels;
 mod loitering;

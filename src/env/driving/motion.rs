@@ -3,15 +3,43 @@
 use super::agents::{Slot, Status, Track};
 use super::error::Error;
 use super::geometry::Pose;
+use super::lane_routes::Side;
 use super::map::RoutePosition;
 use super::task::{Driver, Task};
 use super::vehicle::longitudinal;
-use crate::sumo::{Command, Snapshot};
+use crate::scenario::LaneChange;
+use crate::sumo::{Body, Command, Snapshot};
 
 /// SUMO's speed mode with all checks of SUMO's own driver.
 pub(super) const SUMO_CHECKS: i32 = 31;
 /// SUMO's speed mode with every check off.
 pub(super) const NO_CHECKS: i32 = 32;
+
+/// SUMO's lane change mode in which a vehicle changes lanes only on request, whoever is in the way.
+const ON_REQUEST: i32 = 0;
+/// SUMO's lane change mode for changes that the route or the cooperation with others demands.
+const FOR_ROUTE: i32 = 0b0101;
+/// Time for which an agent keeps its lane after a lane change \[s\].
+pub(super) const LANE_TIME: f64 = 3.0;
+/// Value of an action's last dimension from which the agent asks for the lane to the left.
+const ASKS: f64 = 1.0 / 3.0;
+
+/// Returns the command that says which lane changes SUMO may make by itself with an agent that has
+/// just been added; `None` if its driver changes lanes as its model wants, or if it has no choice of
+/// lanes.
+pub(super) fn lane_change_mode(
+    task: &Task,
+    driver: Driver,
+    world: u32,
+    slot: u32,
+) -> Option<Command> {
+    let mode = match task.scenario.control.lane_change {
+        LaneChange::Route | LaneChange::Action if driver == Driver::Sumo => return None,
+        LaneChange::Route => FOR_ROUTE,
+        LaneChange::None | LaneChange::Action => ON_REQUEST,
+    };
+    task.map.several_lanes.then_some(Command::LaneChangeMode { world, slot, mode })
+}
 
 /// Appends the commands of a step for the agents' slots. `actions` is `[N, A]`, of which only
 /// active agents' entries count.
@@ -39,6 +67,13 @@ pub(super) fn act(
                 slot.wreck_steps -= 1;
                 if !task.steers(driver) {
                     commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                    if task.changes_lanes() {
+                        commands.push(Command::LaneChangeMode {
+                            world,
+                            slot: at,
+                            mode: ON_REQUEST,
+                        });
+                    }
                 } else if slot.track != Track::Lost {
                     move_to_pose(task, world, at, slot, commands);
                 }
@@ -79,6 +114,18 @@ fn drive(
         // the step gives the exact distance.
         let mean = distance / control.interval;
         commands.push(Command::SetSpeed { world, slot: at, speed: mean });
+        slot.lane_steps = slot.lane_steps.saturating_sub(1);
+        let side = match control.lane_change {
+            LaneChange::Action if action(1) > ASKS => Side::Left,
+            LaneChange::Action if action(1) < -ASKS => Side::Right,
+            _ => return,
+        };
+        if slot.lane_steps == 0
+            && let Some((_, lane)) = task.map.lane_routes.beside(slot, side)
+            && task.map.stays_on_lane(slot, distance)
+        {
+            commands.push(Command::ChangeLane { world, slot: at, lane });
+        }
     }
 }
 
@@ -150,7 +197,7 @@ pub(super) fn place(
     let first = world as usize * task.slots();
     let steers = task.steers(driver);
     for (i, slot) in agents.iter_mut().enumerate() {
-        slot.before = slot.pose;
+        (slot.before, slot.s_before) = (slot.pose, slot.s);
         if slot.status == Status::Empty && !slot.is_waiting() {
             continue;
         }
@@ -215,6 +262,14 @@ pub(super) fn place(
             continue;
         }
         let half = slot.size[0] / 2.0;
+        if task.changes_lanes() {
+            let body = body.unwrap_or_default();
+            place_on_lane(task, slot, &body, vehicle.speed);
+            if departs {
+                slot.before = slot.pose;
+            }
+            continue;
+        }
         let origin = slot.departure.map_or(0.0, |departure| departure.origin);
         let front = route.lanes().arc_of_distance(vehicle.distance + origin);
         let (point, heading, segment) = route.lanes().body(front, 2.0 * half);
@@ -230,10 +285,49 @@ pub(super) fn place(
     Ok(())
 }
 
+/// Puts an agent that may change lanes where SUMO reports it, at the speed \[m/s\] with which SUMO
+/// moved it in the last step.
+fn place_on_lane(task: &Task, slot: &mut Slot, body: &Body, speed: f64) {
+    let (map, half) = (&task.map, slot.size[0] / 2.0);
+    let (lane, first) = (slot.lane, slot.lane.is_none());
+    let changed = map.lane_routes.follow(&map.routes, slot, body);
+    let path = map.routes[slot.route].lanes();
+    let front = [body.x, body.y];
+    let on_new_lane = changed.is_some();
+    let (s, _, segment) = changed.unwrap_or_else(|| {
+        let end = path.lane_stretches().next().map_or(0.0, |(_, _, end)| end);
+        let on_first = 0..path.locate(end * (1.0 - 1e-9)).1 + 1;
+        if first { path.nearest_of(front, on_first) } else { path.project(front, slot.segment) }
+    });
+    (slot.s, slot.segment) = (map.routes[slot.route].on_path(s - half), segment);
+    if let (Some(from), Some(to)) = (lane, slot.lane)
+        && from != to
+        && map.lane_routes.are_beside(from, to)
+    {
+        slot.lane_steps = (LANE_TIME / task.scenario.control.interval).round() as u32;
+    }
+    if on_new_lane {
+        // The two routes begin at different places.
+        slot.s_before = slot.s - speed * task.scenario.control.interval;
+        slot.lines_passed = map.traffic_lights.passed_at(slot.route, slot.s_before + half);
+    }
+    if speed <= 0.0 {
+        // SUMO stops a vehicle at the end of a lane on which its route does not go on.
+        slot.speed = 0.0;
+    }
+    let (sin, cos) = body.heading.sin_cos();
+    let centre = [body.x - half * cos, body.y - half * sin];
+    slot.pose = Pose::beside(centre, body.heading, slot.lateral);
+}
+
 /// Returns the position of the front of an agent from a route file that reached the end of its trip
 /// in the last step \[m\]; `None` if it did not.
 fn front_at_its_end(task: &Task, slot: &Slot) -> Option<f64> {
-    let end = slot.departure.filter(|_| slot.status == Status::Active)?.end;
+    let mut end = slot.departure.filter(|_| slot.status == Status::Active)?.end;
+    if slot.route != slot.assigned {
+        let length = |route: usize| task.map.routes[route].lanes().length();
+        end += length(slot.route) - length(slot.assigned);
+    }
     let speed = slot.speed.max(task.scenario.vehicle.max_speed);
     let front = slot.s + slot.size[0] / 2.0;
     // A vehicle that SUMO drives may have gained some speed in the step.

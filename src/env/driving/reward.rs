@@ -22,15 +22,12 @@ pub(super) struct Rewards {
     pub(super) total: f64,
     /// Number of agents of the episode.
     pub(super) active_agents: usize,
-    /// Positions of the agents along their routes before the step \[m\].
-    positions: Vec<f64>,
 }
 
 impl Rewards {
     pub(super) fn new(agents: usize) -> Self {
-        let zeros = vec![0.0; agents];
-        let own = zeros.clone();
-        Self { own, steps: Vec::new(), total: 0.0, active_agents: agents, positions: zeros }
+        let own = vec![0.0; agents];
+        Self { own, steps: Vec::new(), total: 0.0, active_agents: agents }
     }
 
     /// Begins a new episode. The last step's rewards stay visible until the next step.
@@ -38,14 +35,6 @@ impl Rewards {
         self.active_agents = active_agents;
         self.total = 0.0;
         self.steps.clear();
-    }
-
-    /// Notes where the agents are before a step.
-    pub(super) fn before(&mut self, slots: &[Slot]) {
-        for (position, slot) in self.positions.iter_mut().zip(slots) {
-            *position = slot.s;
-        }
-        self.own.fill(0.0);
     }
 
     /// Rewards the active agents for step number `step`, and ends the episode of those that arrived
@@ -61,6 +50,7 @@ impl Rewards {
     ) {
         let (steers, wreck_steps) = (task.steers(driver), task.wreck_steps());
         let mut sum = 0.0;
+        self.own.fill(0.0);
         for (i, slot) in agents.iter_mut().enumerate() {
             // An agent that has just departed has not acted yet.
             if slot.status != Status::Active || slot.departure.is_some_and(|d| d.step == step) {
@@ -73,7 +63,7 @@ impl Rewards {
             if let Some(partner) = partner {
                 slot.crash = Some(partner.crash(route, slot, step));
             }
-            let mut reward = reward(task, steers, slot, slot.s - self.positions[i]);
+            let mut reward = reward(task, steers, slot, slot.s - slot.s_before);
             if slot.ran_red {
                 reward += task.scenario.reward.red_light;
             }

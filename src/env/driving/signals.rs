@@ -65,10 +65,14 @@ impl TrafficLights {
         self.lights.iter().all(TrafficLight::is_static)
     }
 
-    /// Returns the number of stop lines of a route that a vehicle has passed with its front.
+    /// Returns the number of stop lines of its route that a vehicle has passed with its front.
     fn passed(&self, slot: &Slot) -> usize {
-        let front = front(slot);
-        self.lines[slot.route].partition_point(|line| line.at < front)
+        self.passed_at(slot.route, front(slot))
+    }
+
+    /// Returns the number of stop lines before a position on a route \[m\].
+    pub(super) fn passed_at(&self, route: usize, front: f64) -> usize {
+        self.lines[route].partition_point(|line| line.at < front)
     }
 }
 

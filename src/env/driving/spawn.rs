@@ -2,11 +2,12 @@
 
 use super::agents::{Slot, Status};
 use super::geometry::Pose;
-use super::motion::{NO_CHECKS, SUMO_CHECKS};
+use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
 use super::task::{AGENT_TYPE, Driver, SUMO_TYPE, Task};
 use super::vehicle::tyres::Motion;
 use crate::rng::{self, Rng};
 use crate::sumo::Command;
+use crate::sumo::net::CARS;
 
 /// The vehicles with which an episode begins.
 pub(super) struct Spawned {
@@ -66,6 +67,8 @@ pub(super) fn spawn(
         *slot = Slot {
             status: Status::Active,
             route,
+            assigned: route,
+            class: CARS,
             size: [task.scenario.vehicle.length, task.scenario.vehicle.width],
             pose,
             before: pose,
@@ -85,9 +88,7 @@ pub(super) fn spawn(
             depart_speed: 0.0,
         });
         commands.push(Command::SpeedMode { world, slot: at, mode });
-        if task.map.several_lanes {
-            commands.push(Command::KeepLane { world, slot: at });
-        }
+        commands.extend(lane_change_mode(task, driver, world, at));
         if driver != Driver::Sumo {
             commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
         }

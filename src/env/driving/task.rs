@@ -10,8 +10,8 @@ use super::map::Map;
 use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
-    Control, Demand, Finish, PlannedDeparture, PlannedSource, Scenario, Source, Spacing,
-    SpawnPlace, Start, VehicleKind,
+    Control, Demand, Finish, LaneChange, PlannedDeparture, PlannedSource, Scenario, Source,
+    Spacing, SpawnPlace, Start, VehicleKind,
 };
 use crate::sumo::{
     BackgroundTraffic, Departure, Dropped, Hosting, Route, SimulationConfig, VehicleType,
@@ -200,6 +200,49 @@ impl Task {
         self.agents + self.others
     }
 
+    /// Returns the share of the vehicles of an episode whose route needs a lane change, in expectation.
+    pub(crate) fn lane_change_share(&self) -> f64 {
+        let needs = |route: usize| f64::from(u8::from(self.map.lane_change[route].is_finite()));
+        let mean = |routes: &mut dyn Iterator<Item = (usize, f64)>| {
+            let [sum, all] = routes.fold([0.0, 0.0], |[sum, all], (route, weight)| {
+                [sum + weight * needs(route), all + weight]
+            });
+            if all > 0.0 { sum / all } else { 0.0 }
+        };
+        let horizon = f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
+        let (places, plan) = (self.places.len().max(1) as f64, &self.map.plan);
+        let placed = (self.starting + self.placed) as f64;
+        let mut shares: Vec<(f64, f64)> = (self.places.iter())
+            .map(|place| {
+                let mut routes = place.routes.iter().map(|&route| (route, 1.0));
+                (placed / places, mean(&mut routes))
+            })
+            .collect();
+        for source in &plan.sources {
+            let departures = source.departures.iter().filter_map(|&(departure, weight)| {
+                let departure = &plan.departures[departure?];
+                departure.walk.is_none().then_some((departure.route, weight))
+            });
+            let mut departures = departures.peekable();
+            if departures.peek().is_some() {
+                shares.push((source.expected_number(horizon), mean(&mut departures)));
+            }
+        }
+        let vehicles: f64 = shares.iter().map(|(count, _)| count).sum();
+        shares.iter().map(|(count, share)| count * share).sum::<f64>() / vehicles.max(1e-9)
+    }
+
+    /// Returns the dimensions of an action with this steering and throttle, each -1 to 1, which keeps
+    /// the lane; further numbers follow.
+    pub(crate) fn action(&self, steer: f64, throttle: f64) -> [f64; 2] {
+        if self.scenario.control.steering.is_some() { [steer, throttle] } else { [throttle, 0.0] }
+    }
+
+    /// Whether agents may change lanes, so that they are on the lanes that SUMO reports.
+    pub(super) fn changes_lanes(&self) -> bool {
+        self.scenario.control.lane_change != LaneChange::None
+    }
+
     /// Whether agents steer under this driver, so that they follow their routes' paths instead of
     /// the lanes.
     pub(super) fn steers(&self, driver: Driver) -> bool {
@@ -234,11 +277,12 @@ impl Task {
         recruits.is_some_and(|recruits| types.iter().any(|entry| recruits[entry.0]))
     }
 
-    /// Whether what SUMO does in an episode depends on what it did before, so that each episode
-    /// needs a renewed SUMO of its own: with background traffic, or traffic lights that react to
-    /// traffic.
+    /// Whether each world needs a SUMO of its own, which is renewed for each episode, because what SUMO
+    /// does depends on what it did before, and on distances that it computes from coordinates, whose
+    /// rounding differs from tile to tile: with background traffic, SUMO's lane change model, or
+    /// traffic lights that react to traffic.
     pub(super) fn needs_fresh_sumo(&self) -> bool {
-        self.others > 0 || !self.map.traffic_lights.are_static()
+        self.others > 0 || self.changes_lanes() || !self.map.traffic_lights.are_static()
     }
 
     /// Returns whether agents come from route files.
@@ -279,7 +323,7 @@ impl Task {
             seed,
             worlds,
             slots: self.slots() as u32,
-            others: (self.others > 0).then(|| self.road_users()),
+            others: (self.others > 0 || self.changes_lanes()).then(|| self.road_users()),
             timeout: hosting.timeout,
             audit: hosting.audit,
             traffic_lights: self.map.traffic_lights.lights.iter().map(|l| l.id.clone()).collect(),
@@ -360,7 +404,11 @@ impl Task {
         };
         let name = |planned: &PlannedDeparture| self.demand.sources[planned.source].name();
         BackgroundTraffic {
-            first_slot: if self.has_flow() { 0 } else { self.agents as u32 },
+            first_slot: if self.has_flow() || self.changes_lanes() {
+                0
+            } else {
+                self.agents as u32
+            },
             definitions: self.demand.definitions.clone(),
             types: self.demand.types.iter().map(|kind| kind.id.clone()).collect(),
             departures: departures
@@ -373,8 +421,12 @@ impl Task {
     }
 }
 
+/// Factor on the noise of the action dimension that asks for a lane. With the noise of the throttle,
+/// a vehicle would ask for another lane in most steps.
+const LANE_NOISE: f32 = 0.5;
+
 /// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
-/// brake.
+/// brake, then the lane, if actions change lanes.
 ///
 /// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
 /// with a mean throttle of 0 hardly moves under noise.
@@ -384,5 +436,10 @@ fn actions(control: &Control) -> Vec<ActionDimension> {
         initial_mean: control.initial_throttle as f32,
         ..ActionDimension::named("throttle")
     };
-    if control.steering.is_some() { vec![steer, throttle] } else { vec![throttle] }
+    let lane = ActionDimension { noise_scale: LANE_NOISE, ..ActionDimension::named("lane") };
+    match control.lane_change {
+        _ if control.steering.is_some() => vec![steer, throttle],
+        LaneChange::Action => vec![throttle, lane],
+        LaneChange::None | LaneChange::Route => vec![throttle],
+    }
 }

@@ -24,7 +24,7 @@ impl Trip {
     pub(super) fn of(slot: usize, agent: &Slot, loitering: &Loitering) -> Self {
         Self {
             slot,
-            route: agent.route,
+            route: agent.assigned,
             outcome: agent.outcome,
             crash: agent.crash,
             unfinished: agent.status == Status::Active,

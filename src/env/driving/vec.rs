@@ -141,8 +141,6 @@ impl VecEnv {
     /// Starts the simulators with worlds that are idle.
     fn idle(task: &Arc<Task>, options: &VecOptions) -> Result<Self, Error> {
         let hosting = match options.driver {
-            // SUMO's driver uses distances that SUMO computes from coordinates, and the rounding
-            // of coordinates differs from tile to tile.
             _ if task.needs_fresh_sumo() => options.hosting.alone(options.worlds),
             Driver::Sumo => Hosting { processes: options.worlds, ..options.hosting.beside() },
             Driver::Agents | Driver::Rules => options.hosting,

@@ -302,7 +302,6 @@ impl World {
             Phase::Running => {
                 self.frame.begin(false);
                 self.episode.step += 1;
-                self.rewards.before(&self.traffic.slots);
                 self.place(world, snapshot)?;
                 self.welcome();
                 self.judge(world, snapshot);

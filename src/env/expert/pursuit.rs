@@ -38,12 +38,9 @@ impl World {
         for (i, action) in actions.chunks_mut(task.spec.actions.len()).enumerate() {
             let [steer, throttle] = self.pursuit(i, if waits[i] { 0.0 } else { speed });
             // Where full brake does not drive backwards, it stops the vehicle fastest.
-            let wanted = [steer, if waits[i] && !reverses { -1.0 } else { throttle }];
-            // A vehicle that does not steer has the throttle as its only action.
-            action
-                .iter_mut()
-                .zip(&wanted[2 - task.spec.actions.len()..])
-                .for_each(|(to, from)| *to = *from as f32);
+            let throttle = if waits[i] && !reverses { -1.0 } else { throttle };
+            let values = task.action(steer, throttle);
+            action.iter_mut().zip(values).for_each(|(to, from)| *to = from as f32);
         }
     }
 

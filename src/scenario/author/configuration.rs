@@ -10,7 +10,8 @@ use roxmltree::Node;
 use super::super::demand::{self, seconds};
 use super::super::reader::{Reader, document, text};
 use super::super::{
-    AgentRange, Demand, DemandPlan, FileTime, Jitter, ObservationGroups, Scenario, Traffic,
+    AgentRange, Demand, DemandPlan, FileTime, Jitter, LaneChange, ObservationGroups, Scenario,
+    Traffic,
 };
 use super::files::{Layout, Site, Steers};
 use super::import::{SPEED, in_utf8};
@@ -221,6 +222,7 @@ fn draft(
         ));
     }
     let site = Site {
+        has_signals: plan.routes.iter().any(|laid| !net.signals_on(&laid.path).is_empty()),
         description: "Cars of the demand of an imported configuration of SUMO.".into(),
         routes: Vec::new(),
         paths: Vec::new(),
@@ -245,6 +247,7 @@ fn draft(
     };
     scenario.jitter = Jitter::default();
     scenario.control.interval = step;
+    scenario.control.lane_change = LaneChange::Route;
     scenario.termination.horizon = (duration / step).round().clamp(1.0, 1e6) as u32;
     scenario.observation.groups = ObservationGroups::Both;
     scenario.observation.conflict_streams = STREAMS;

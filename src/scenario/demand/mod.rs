@@ -305,6 +305,14 @@ pub enum Spacing {
     Chance(f64),
 }
 
+impl Source {
+    /// Returns how messages call this vehicle, person or flow.
+    pub fn name(&self) -> String {
+        let file = self.place.path.file_name().unwrap_or_default().to_string_lossy();
+        format!("{} ({file}:{})", net::shorten(&self.id), self.place.line)
+    }
+}
+
 impl Demand {
     /// Reads route files and additional files of SUMO, in this order: types and routes must stand
     /// above what names them.

@@ -7,7 +7,7 @@ use super::left_out::{self, LeftOut};
 use super::{Demand, Halt, Itinerary, Laid, RouteEdge, Source, Spacing, Terminal, class_named};
 use crate::scenario::Error;
 use crate::sumo::RouteStop;
-use crate::sumo::net::{Net, NetError, Path, shorten};
+use crate::sumo::net::{Net, NetError, Path, Problem, shorten};
 
 /// Largest number of different routes and walks of those who depart within an episode: the program
 /// compares each route with each other.
@@ -70,14 +70,6 @@ pub struct PlannedSource {
     pub spacing: Spacing,
 }
 
-impl Source {
-    /// Returns how messages call this vehicle, person or flow.
-    pub fn name(&self) -> String {
-        let file = self.place.path.file_name().unwrap_or_default().to_string_lossy();
-        format!("{} ({file}:{})", shorten(&self.id), self.place.line)
-    }
-}
-
 impl Demand {
     /// Returns what departs in an episode of `horizon` seconds, which begins at `begin` of the
     /// files' time \[s\].
@@ -85,8 +77,23 @@ impl Demand {
     /// # Errors
     /// If there are more different routes than the program takes.
     pub fn plan(&self, net: &Net, begin: f64, horizon: f64) -> Result<DemandPlan, Error> {
-        let mut planner =
-            Planner { demand: self, net, begin, plan: DemandPlan::default(), laid: HashMap::new() };
+        self.plan_where(net, begin, horizon, &|_| false)
+    }
+
+    /// Does the same as [`Demand::plan`], and leaves out the vehicles that need lane changes and keep
+    /// their lanes. `keeps_lane` says for an index into [`Demand::sources`] whether its vehicles do.
+    ///
+    /// # Errors
+    /// As [`Demand::plan`].
+    pub fn plan_where(
+        &self,
+        net: &Net,
+        begin: f64,
+        horizon: f64,
+        keeps_lane: &dyn Fn(usize) -> bool,
+    ) -> Result<DemandPlan, Error> {
+        let (plan, laid) = (DemandPlan::default(), HashMap::new());
+        let mut planner = Planner { demand: self, net, begin, keeps_lane, plan, laid };
         for (index, source) in self.sources.iter().enumerate() {
             if let Some((first, number)) = source.within(begin, horizon) {
                 planner.plan.wanted += 1;
@@ -113,13 +120,15 @@ impl Demand {
     }
 }
 
-/// What makes a route in the net: its edges, its first lane and the classes of vehicles on it.
-type Key = (Vec<String>, Option<u32>, Vec<&'static str>);
+/// What makes a route in the net: its edges, its first lane, the classes of vehicles on it, and
+/// whether they keep their lanes.
+type Key = (Vec<String>, Option<u32>, Vec<&'static str>, bool);
 
 struct Planner<'a> {
     demand: &'a Demand,
     net: &'a Net,
     begin: f64,
+    keeps_lane: &'a dyn Fn(usize) -> bool,
     plan: DemandPlan,
     /// Indices of routes of vehicles in the plan, or why they cannot be driven.
     laid: HashMap<Key, Result<usize, String>>,
@@ -216,7 +225,7 @@ impl Planner<'_> {
             }
             let edges = &edges[first..=last];
             let lane = source.start.lane.parse::<u32>().ok();
-            let laid = self.lay(&route.id, edges, lane, &classes)?;
+            let laid = self.lay(&route.id, edges, lane, &classes, (self.keeps_lane)(index))?;
             self.ends(source, edges, laid, &classes)?;
             let halts = route.stops.as_ref().map_err(Clone::clone)?.iter().chain(&source.stops);
             let stops = self.stops(halts, source.start.pos.parse().ok(), edges, laid)?;
@@ -265,15 +274,22 @@ impl Planner<'_> {
         edges: &[String],
         lane: Option<u32>,
         classes: &[&'static str],
+        keeps_lane: bool,
     ) -> Result<usize, String> {
-        let key = (edges.to_vec(), lane, classes.to_vec());
+        let key = (edges.to_vec(), lane, classes.to_vec(), keeps_lane);
         if let Some(known) = self.laid.get(&key) {
             return known.clone();
         }
-        let path = self.net.route_path_for(edges, None, classes).map_err(|error| reason(&error));
+        let from = |lane| match self.net.route_path_for(edges, lane, classes) {
+            Err(NetError { problem: Problem::LaneChange { .. }, .. }) if !keeps_lane => {
+                self.net.route_path_with_changes(edges, lane, classes)
+            }
+            path => path,
+        };
+        let path = from(None).map_err(|error| reason(&error));
         let path = match lane {
             None => path,
-            Some(lane) => path.and_then(|_| self.path_from(edges, lane, classes)),
+            Some(lane) => path.and_then(|_| self.path_from(edges, lane, classes, from)),
         };
         let laid = path.map(|path| self.route(Laid { id: id.into(), path, edges: edges.to_vec() }));
         self.laid.insert(key, laid.clone());
@@ -291,7 +307,13 @@ impl Planner<'_> {
     }
 
     /// Returns the path along edges that can be driven from some lane, from this one.
-    fn path_from(&self, edges: &[String], lane: u32, classes: &[&str]) -> Result<Path, String> {
+    fn path_from(
+        &self,
+        edges: &[String],
+        lane: u32,
+        classes: &[&str],
+        from: impl Fn(Option<u32>) -> Result<Path, NetError>,
+    ) -> Result<Path, String> {
         let edge = self.net.edge_index(&edges[0]).map(|index| &self.net.edges[index]);
         let lanes = edge.map_or(0..0, |edge| edge.lanes.clone());
         let (name, count) = (shorten(&edges[0]), lanes.len());
@@ -305,8 +327,7 @@ impl Planner<'_> {
                 "departLane is {lane}, but vehicles of class `{class}` may not use this lane of the edge `{name}`"
             ));
         }
-        let path = self.net.route_path_for(edges, Some(lane), classes);
-        path.map_err(|error| format!("from departLane {lane}, {}", reason(&error)))
+        from(Some(lane)).map_err(|error| format!("from departLane {lane}, {}", reason(&error)))
     }
 
     /// Checks where a vehicle departs and arrives.
@@ -417,5 +438,9 @@ impl Planner<'_> {
 
 /// Returns what is wrong with a route, without the net's path.
 fn reason(error: &NetError) -> String {
-    error.problem.to_string()
+    let agents = match error.problem {
+        Problem::LaneChange { .. } => ", and agents keep their lanes (laneChange of <control>)",
+        _ => "",
+    };
+    format!("{}{agents}", error.problem)
 }

@@ -11,6 +11,19 @@ const MAX_NUMBER: u64 = 1_000_000;
 /// Duration for which SUMO lets a flow with a `number` and without an `end` depart \[s\].
 const DAY: f64 = 86_400.0;
 
+impl PlannedSource {
+    /// Returns the expected number of departures within the first `horizon` seconds of an episode.
+    pub fn expected_number(&self, horizon: f64) -> f64 {
+        let time = (self.end.min(horizon) - self.begin).max(0.0);
+        let number = match self.spacing {
+            Spacing::Equal(gap) => (time / gap).floor() + 1.0,
+            Spacing::Poisson(rate) => time * rate,
+            Spacing::Chance(chance) => time * chance,
+        };
+        number.min(self.number as f64)
+    }
+}
+
 impl Source {
     /// Returns the first departure in an episode that begins at `begin` of the files' time, counted
     /// from the start of the episode \[s\], and the largest number of departures from then on.

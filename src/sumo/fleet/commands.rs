@@ -14,9 +14,6 @@ use crate::sumo::{
     net::tiled_id,
 };
 
-/// SUMO's lane change mode in which a vehicle never changes lanes by itself.
-const NO_LANE_CHANGES: i32 = 0;
-
 impl Fleet {
     /// Writes the calls that define the vehicle types and routes.
     pub(in crate::sumo) fn define(&self, batch: &mut Batch) {
@@ -168,9 +165,16 @@ impl Fleet {
                     batch.vehicle().set_speed_mode(&self.names[vehicle], mode);
                 }
             }
-            Command::KeepLane { world, slot } => {
+            Command::LaneChangeMode { world, slot, mode } => {
                 let name = &self.names[self.vehicle(world, slot)?];
-                batch.vehicle().set_lane_change_mode(name, NO_LANE_CHANGES);
+                batch.vehicle().set_lane_change_mode(name, mode);
+            }
+            Command::ChangeLane { world, slot, lane } => {
+                let name = &self.names[self.vehicle(world, slot)?];
+                let lane = i8::try_from(lane)
+                    .map_err(|_| Error::invalid(format!("no edge has a lane {lane}")))?;
+                // With a duration of 0, the request ends with the coming step.
+                batch.vehicle().change_lane(name, lane, 0.0);
             }
             Command::MoveTo { world, slot, x, y, heading, keep_route } => {
                 finite("a coordinate", x)?;

@@ -153,10 +153,8 @@ pub enum Problem {
         /// The route's next edge.
         to: String,
     },
-    /// No route connects the edges of a trip without lane changes.
-    #[error(
-        "no route leads from the edge `{from}` to `{to}` that can be driven without changing lanes"
-    )]
+    /// No route connects the edges of a trip.
+    #[error("no route leads from the edge `{from}` to `{to}`")]
     NoTrip {
         /// First edge.
         from: String,
@@ -192,8 +190,7 @@ pub enum Problem {
         /// The walk's next edge.
         to: String,
     },
-    /// Consecutive edges are connected, but only with lane changes between them, which a centre
-    /// line cannot represent.
+    /// Consecutive edges are connected, but only with lane changes between them.
     #[error("the route `{route}` needs a lane change")]
     LaneChange {
         /// The route's edges, shortened if many.
@@ -233,7 +230,7 @@ impl NetError {
                 "give the vType another vClass, or permit the class in the net (allow and disallow of lanes and connections)".into()
             }
             Problem::LaneChange { .. } => {
-                "split the route, or connect the lanes that it uses".into()
+                "let agents change lanes (attribute laneChange of <control>), split the route, or connect the lanes that it uses".into()
             }
             _ => return None,
         })

@@ -235,6 +235,17 @@ impl Path {
             .map(|((lane, start), end)| (*lane, *start, end))
     }
 
+    /// Returns the positions at the ends of lanes at which the path changes to another lane of the
+    /// same edge \[m\].
+    pub fn lane_changes<'p>(&'p self, net: &'p Net) -> impl Iterator<Item = f64> + 'p {
+        let stretches = || self.lane_stretches();
+        let pairs = stretches().zip(stretches().skip(1));
+        let leads = |from: usize, to: usize| {
+            net.connections_from(from).any(|c| c.via.unwrap_or(c.to) == to || c.to == to)
+        };
+        pairs.filter(move |((from, ..), (to, ..))| !leads(*from, *to)).map(|((.., end), _)| end)
+    }
+
     /// Returns the lane at `s`, as an index into [`Net::lanes`], and the position on it in SUMO's
     /// metres, also for walks. A position beyond a lane's end is in a gap of the path between two
     /// lanes. `None` if the path was built from points.

@@ -4,6 +4,16 @@ use std::collections::{HashMap, HashSet};
 
 use super::{CARS, Connection, Edge, MAX_POINTS, Net, NetError, Path, Problem, shorten};
 
+/// How a route goes on from a lane of one of its edges.
+struct Onward<'n> {
+    /// Number of lane changes up to the end of the route, in lanes.
+    changes: u32,
+    /// Lane of the same edge from which the route goes on.
+    from: usize,
+    /// Connection to the next edge.
+    connection: &'n Connection,
+}
+
 impl Net {
     /// Returns the path of a car's route: the centre lines of its lanes from edge to edge along
     /// connections, including internal lanes.
@@ -40,38 +50,51 @@ impl Net {
         lane: Option<u32>,
         classes: &[&str],
     ) -> Result<Path, NetError> {
-        let lanes = self.route_lanes(edges, lane, classes)?;
+        let lanes = self.route_lanes(edges, lane, classes, false)?;
+        self.path_along(&lanes)
+    }
+
+    /// Like [`Net::route_path_for`], with as few lane changes as possible. Where a lane change is
+    /// needed, the path changes at the lane's end; [`Path::lane_changes`] says where.
+    ///
+    /// # Errors
+    /// As [`Net::route_path_for`].
+    pub fn route_path_with_changes(
+        &self,
+        edges: &[String],
+        lane: Option<u32>,
+        classes: &[&str],
+    ) -> Result<Path, NetError> {
+        let lanes = self.route_lanes(edges, lane, classes, true)?;
+        self.path_along(&lanes)
+    }
+
+    /// Returns the path of the rest of a route for a vehicle on `lane` of the first of `edges`, with
+    /// lane changes as in [`Net::route_path_with_changes`]. Permissions do not count, because SUMO has
+    /// decided that the vehicle is on the lane. The path ends with the lane if the route cannot be
+    /// driven; `None` if it has no extent.
+    pub(crate) fn route_path_on(&self, edges: &[String], lane: usize) -> Option<Path> {
+        let lanes = self.route_lanes(edges, Some(self.lanes[lane].index), &[], true);
+        self.path_along(&lanes.unwrap_or_else(|_| vec![lane])).ok()
+    }
+
+    /// Returns the path along lanes.
+    fn path_along(&self, lanes: &[usize]) -> Result<Path, NetError> {
         let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
         if points > MAX_POINTS {
             return Err(self.error(Problem::LongRoute { points, limit: MAX_POINTS }));
         }
-        Path::through(self, &lanes).ok_or_else(|| self.error(Problem::EmptyRoute))
-    }
-
-    /// Returns the path of the rest of a route for a vehicle on `lane` of the first of `edges`. From a
-    /// lane on which the route does not go on, the path changes at the lane's end to the nearest lane
-    /// on which it does, or ends there. Permissions do not count, because SUMO has decided that the
-    /// vehicle is on the lane. `None` if the path has no extent.
-    pub(crate) fn route_path_on(&self, edges: &[String], lane: usize) -> Option<Path> {
-        let own = self.lanes[lane].index;
-        let lanes = &self.edges[self.lanes[lane].edge].lanes;
-        let mut others: Vec<u32> = lanes.clone().map(|lane| self.lanes[lane].index).collect();
-        others.sort_by_key(|index| index.abs_diff(own));
-        let onward =
-            others.into_iter().find_map(|index| self.route_lanes(edges, Some(index), &[]).ok());
-        let mut lanes = onward.unwrap_or_else(|| vec![lane]);
-        lanes[0] = lane;
-        let points: usize = lanes.iter().map(|&lane| self.lanes[lane].shape.len()).sum();
-        if points > MAX_POINTS { None } else { Path::through(self, &lanes) }
+        Path::through(self, lanes).ok_or_else(|| self.error(Problem::EmptyRoute))
     }
 
     /// Returns the lanes of a route in driving order, with the internal lanes between those of its
-    /// edges.
+    /// edges; if lanes may be `changed`, those with the fewest changes.
     fn route_lanes(
         &self,
         edges: &[String],
         first: Option<u32>,
         classes: &[&str],
+        changed: bool,
     ) -> Result<Vec<usize>, NetError> {
         let Some(last) = edges.len().checked_sub(1) else {
             return Err(self.error(Problem::EmptyRoute));
@@ -80,7 +103,8 @@ impl Net {
             edges.iter().map(|id| self.edge_for(id, classes)).collect::<Result<_, _>>()?;
         // From the last edge to the first: for each lane, the best connection from which the
         // route's end can be reached.
-        let mut onward: Vec<HashMap<usize, &Connection>> = vec![HashMap::new(); last];
+        let mut onward: Vec<HashMap<usize, Onward>> = Vec::new();
+        onward.resize_with(last, HashMap::new);
         for i in (0..last).rev() {
             let next = &route[i + 1].lanes;
             let (mut connected, mut permitted) = (false, false);
@@ -91,12 +115,19 @@ impl Net {
                     .inspect(|_| connected = true)
                     .filter(|c| self.admits(c, classes))
                     .inspect(|_| permitted = true);
-                let reaches_end = |c: &&Connection| {
-                    onward.get(i + 1).is_none_or(|later| later.contains_key(&c.to))
+                let later = |c: &Connection| match onward.get(i + 1) {
+                    Some(later) => later.get(&c.to).map(|onward| onward.changes),
+                    None => Some(0),
                 };
-                if let Some(best) = connections.filter(reaches_end).min_by_key(|c| c.to) {
+                let onwards = connections.filter_map(|connection| {
+                    Some(Onward { changes: later(connection)?, from: lane, connection })
+                });
+                if let Some(best) = onwards.min_by_key(|o| (o.changes, o.connection.to)) {
                     onward[i].insert(lane, best);
                 }
+            }
+            if changed {
+                onward[i] = self.beside(route[i], &onward[i]);
             }
             let (from, to) = (|| shorten(&edges[i]), || shorten(&edges[i + 1]));
             if !connected {
@@ -114,15 +145,34 @@ impl Net {
         let good = |lane: &usize| {
             wanted(*lane) && onward.first().is_none_or(|first| first.contains_key(lane))
         };
-        let mut lane = route[0].lanes.clone().find(good).ok_or_else(lane_change)?;
+        let changes = |lane: &usize| onward.first().map(|first| first[lane].changes);
+        let start = route[0].lanes.clone().filter(good).min_by_key(changes);
+        let mut lane = start.ok_or_else(lane_change)?;
         let mut lanes = vec![lane];
-        for connections in &onward {
-            let connection = connections.get(&lane).ok_or_else(lane_change)?;
+        for onward in &onward {
+            let Onward { connection, .. } = onward.get(&lane).ok_or_else(lane_change)?;
             self.follow_internal(connection, &mut lanes);
             lane = connection.to;
             lanes.push(lane);
         }
         Ok(lanes)
+    }
+
+    /// Returns how a route goes on from each lane of an edge if vehicles change to one of the lanes
+    /// from which it goes on, with the fewest changes.
+    fn beside<'n>(
+        &self,
+        edge: &Edge,
+        onward: &HashMap<usize, Onward<'n>>,
+    ) -> HashMap<usize, Onward<'n>> {
+        let from = |lane: usize| {
+            let all = onward.values().map(move |straight| {
+                let apart = lane.abs_diff(straight.from) as u32;
+                Onward { changes: straight.changes + apart, ..*straight }
+            });
+            all.min_by_key(|o| (o.changes, lane.abs_diff(o.from), o.from))
+        };
+        edge.lanes.clone().filter_map(|lane| Some((lane, from(lane)?))).collect()
     }
 
     /// Whether vehicles of all these classes may use a lane.

@@ -158,8 +158,23 @@ fn routes_that_cannot_be_driven_are_refused() {
     let z = r#"<edge id="z"><lane id="z_0" index="0" speed="1" length="1" shape="0,0 1,0"/></edge>
         <connection from="z" to="a" fromLane="0" toLane="0"/></net>"#;
     let net = parse(&NET.replace("</net>", z)).unwrap();
-    let error = net.route_path(&["z".into(), "a".into(), "c".into()]).unwrap_err();
+    let edges = ["z", "a", "c"].map(String::from);
+    let error = net.route_path(&edges).unwrap_err();
     assert_eq!(error.to_string(), "x.net.xml: the route `z a c` needs a lane change");
+    // Vehicles that change lanes can drive it: at the end of lane 0 of `a`, the path goes on from
+    // lane 1.
+    let path = net.route_path_with_changes(&edges, None, &[CARS]).unwrap();
+    assert_eq!(path.edges, edges);
+    let changes: Vec<f64> = path.lane_changes(&net).collect();
+    assert_eq!(changes.len(), 1);
+    assert!(changes[0] >= path.edge_start[1] + path.edge_length[1], "{changes:?}");
+    let direct = net.route_path_with_changes(&edges[1..], None, &[CARS]).unwrap();
+    assert_eq!(
+        (direct.lane_changes(&net).count(), direct.lanes),
+        (0, net.route_path(&edges[1..]).unwrap().lanes)
+    );
+    let stages = [&edges[0], &edges[2]].map(|edge| vec![edge.clone()]);
+    assert_eq!(net.trip(&stages, &[CARS]).unwrap(), edges);
 }
 
 #[test]

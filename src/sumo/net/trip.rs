@@ -10,8 +10,8 @@ type Node = (usize, usize);
 
 impl Net {
     /// Returns the edges of the fastest route at the speed limits that begins on an edge of the
-    /// first of `stages`, passes an edge of each in order and ends on one of the last, without lane
-    /// changes. Vehicles of all `classes` (SUMO's names) may drive it.
+    /// first of `stages`, passes an edge of each in order and ends on one of the last. A route without
+    /// lane changes comes before any other. Vehicles of all `classes` (SUMO's names) may drive it.
     ///
     /// # Errors
     /// [`Problem::EmptyRoute`], [`Problem::NoEdge`], [`Problem::NotRoad`],
@@ -26,9 +26,27 @@ impl Net {
             .map(|ids| ids.iter().map(road).collect::<Result<_, _>>())
             .collect::<Result<_, _>>()?;
         edges.dedup();
-        let Some(first) = edges.first() else {
+        let route = self.fastest(&edges, classes, false);
+        if let Some(route) = route.or_else(|| self.fastest(&edges, classes, true)) {
+            return Ok(route);
+        }
+        if edges.is_empty() {
             return Err(self.error(Problem::EmptyRoute));
-        };
+        }
+        let name = |stage: &Vec<String>| shorten(&stage.join(" "));
+        let (from, to) = (name(&stages[0]), name(&stages[stages.len() - 1]));
+        Err(self.error(Problem::NoTrip { from, to }))
+    }
+
+    /// Returns the edges of the fastest route past an edge of each of `stages`, in order. `changed`:
+    /// whether vehicles on it may change lanes.
+    fn fastest(
+        &self,
+        edges: &[Vec<usize>],
+        classes: &[&str],
+        changed: bool,
+    ) -> Option<Vec<String>> {
+        let first = edges.first()?;
         let mut before: HashMap<Node, (u64, Node)> = HashMap::new();
         let mut open = BinaryHeap::new();
         let lanes = first.iter().flat_map(|&edge| self.edges[edge].lanes.clone());
@@ -39,26 +57,30 @@ impl Net {
         while let Some(Reverse((time, node))) = open.pop() {
             let (lane, reached) = node;
             if reached == edges.len() {
-                return Ok(self.edges_of(node, &before));
+                return Some(self.edges_of(node, &before));
             }
             if before[&node].0 < time {
                 continue;
             }
+            let mut reach = |next: Node, later: u64| {
+                if before.get(&next).is_none_or(|known| later < known.0) {
+                    before.insert(next, (later, node));
+                    open.push(Reverse((later, next)));
+                }
+            };
             for connection in self.connections_from(lane).filter(|c| self.admits(c, classes)) {
                 let to = &self.lanes[connection.to];
                 let reached = reached + usize::from(edges[reached].contains(&to.edge));
                 // Whole milliseconds are integers, which the heap can order.
                 let later = time + (1e3 * to.length / to.speed.max(0.1)) as u64 + 1;
-                let next = (connection.to, reached);
-                if before.get(&next).is_none_or(|known| later < known.0) {
-                    before.insert(next, (later, node));
-                    open.push(Reverse((later, next)));
-                }
+                reach((connection.to, reached), later);
+            }
+            let lanes = self.edges[self.lanes[lane].edge].lanes.clone().filter(|_| changed);
+            for beside in lanes.filter(|&beside| self.is_open(beside, classes)) {
+                reach((beside, reached), time + 1);
             }
         }
-        let name = |stage: &Vec<String>| shorten(&stage.join(" "));
-        let (from, to) = (name(&stages[0]), name(&stages[stages.len() - 1]));
-        Err(self.error(Problem::NoTrip { from, to }))
+        None
     }
 
     /// Returns the roads that leave a junction, or those that lead to it, and that vehicles of all
@@ -92,7 +114,12 @@ impl Net {
     /// Returns the edges of the route to a node, in driving order.
     fn edges_of(&self, last: Node, before: &HashMap<Node, (u64, Node)>) -> Vec<String> {
         let back = |node: &Node| Some(before[node].1).filter(|earlier| earlier != node);
+        // A lane change stays on its edge.
+        let moves_on = |node: &Node| {
+            back(node).is_none_or(|from| self.connections_from(from.0).any(|c| c.to == node.0))
+        };
         let mut edges: Vec<String> = std::iter::successors(Some(last), back)
+            .filter(moves_on)
             .map(|(lane, _)| &self.edges[self.lanes[lane].edge])
             .filter(|edge| edge.function == EdgeFunction::Normal)
             .map(|edge| edge.id.clone())

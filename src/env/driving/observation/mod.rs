@@ -7,7 +7,8 @@
 //!   number of vehicles, and it is the same for every approach to an intersection.
 //!
 //! In addition, `encounters` describes one by one the vehicles that are ahead of the agent or whose
-//! routes cross or merge with its own: for scenarios with many routes.
+//! routes cross or merge with its own: for scenarios with many routes. Where agents change lanes, they
+//! observe the gaps on the lanes beside them.
 //!
 //! All values are clipped to -1..=1. Padding tokens and the observations of absent agents are
 //! zeros.
@@ -20,6 +21,7 @@ pub mod encounter;
 mod entry;
 mod free;
 pub mod group;
+mod lanes;
 mod leader;
 mod lidar;
 mod neighbour;
@@ -44,4 +46,5 @@ pub static GROUPS: &[FeatureGroup] = &[
     streams::GROUP,
     lidar::GROUP,
     signals::GROUP,
+    lanes::GROUP,
 ];

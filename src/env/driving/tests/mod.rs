@@ -84,7 +84,7 @@ impl Rails {
                     );
                     vehicle.2 = speed;
                 }
-                Command::SpeedMode { slot, .. } | Command::KeepLane { slot, .. } => {
+                Command::SpeedMode { slot, .. } | Command::LaneChangeMode { slot, .. } => {
                     assert!(self.vehicles[slot as usize].is_some());
                 }
                 Command::Depart { slot, departure, .. } => {
@@ -106,7 +106,9 @@ impl Rails {
                         self.waiting.insert(slot);
                     }
                 }
-                Command::MoveTo { .. } => panic!("nobody steers here"),
+                Command::MoveTo { .. } | Command::ChangeLane { .. } => {
+                    panic!("everyone keeps the lane here")
+                }
                 Command::StartPhase { .. } => panic!("no traffic lights here"),
             }
         }

@@ -78,6 +78,7 @@ mod tests {
                 brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
                 steering: None,
                 initial_throttle: Control::INITIAL_THROTTLE,
+                lane_change: crate::scenario::LaneChange::None,
             },
             Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 },
         )

@@ -13,6 +13,7 @@ fn law(reverse: bool) -> (Control, Steering, Vehicle) {
         brake: vec![(0.3, 8.2), (0.5, 10.2), (1.0, 14.7)],
         steering: Some(steering),
         initial_throttle: Control::INITIAL_THROTTLE,
+        lane_change: crate::scenario::LaneChange::None,
     };
     (control, steering, Vehicle { length: 4.515, width: 1.852, max_speed: 22.222 })
 }
