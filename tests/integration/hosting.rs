@@ -120,6 +120,31 @@ fn sumos_own_driver_does_the_same_wherever_its_world_runs() {
 }
 
 /// Returns the reports of vehicles that are placed by their poses, in `worlds` identical worlds.
+#[test]
+fn another_stream_in_a_sumo_that_goes_on_has_the_same_episodes() {
+    for scenario in ["intersection", "parking_lot", "flow_cross"] {
+        let task = task(scenario, 5);
+        let hosting = hosting(Backend::Traci, 2);
+        let mut env = VecEnv::new(&task, &agents_drive(3, 11, hosting)).expect("SUMO runs");
+        let actions = vec![0.7; 3 * task.agents * task.spec.actions.len()];
+        let frames = |env: &mut VecEnv| {
+            let frames = (0..120).map(|_| {
+                env.step(&actions).expect("a step");
+                env.worlds().map(|world| world.frame().clone()).collect::<Vec<_>>()
+            });
+            frames.collect::<Vec<_>>()
+        };
+        frames(&mut env);
+        let other = agents_drive(3, 12, hosting);
+        env.restart(other.seed, other.episodes.clone());
+        env.step(&actions).expect("a step");
+        let restarted = frames(&mut env);
+        drop(env);
+        let mut new = VecEnv::new(&task, &other).expect("SUMO runs");
+        assert!(restarted == frames(&mut new), "{scenario}");
+    }
+}
+
 fn steer(task: &Task, backend: Backend, worlds: u32) -> Vec<Vec<Option<VehicleState>>> {
     let _turn = turn(backend);
     let mut simulation =
