@@ -422,8 +422,8 @@ impl Task {
 }
 
 /// Factor on the noise of the action dimension that asks for a lane. With the noise of the throttle,
-/// a vehicle would ask for another lane in most steps.
-const LANE_NOISE: f32 = 0.5;
+/// a vehicle would ask for another lane in most steps, and change lanes as often as it can.
+const LANE_NOISE: f32 = 0.25;
 
 /// Returns the dimensions of the agents' actions: steering, if vehicles steer, then throttle and
 /// brake, then the lane, if actions change lanes.

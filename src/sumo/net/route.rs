@@ -127,7 +127,7 @@ impl Net {
                 }
             }
             if changed {
-                onward[i] = self.beside(route[i], &onward[i]);
+                onward[i] = beside(route[i], &onward[i]);
             }
             let (from, to) = (|| shorten(&edges[i]), || shorten(&edges[i + 1]));
             if !connected {
@@ -158,23 +158,6 @@ impl Net {
         Ok(lanes)
     }
 
-    /// Returns how a route goes on from each lane of an edge if vehicles change to one of the lanes
-    /// from which it goes on, with the fewest changes.
-    fn beside<'n>(
-        &self,
-        edge: &Edge,
-        onward: &HashMap<usize, Onward<'n>>,
-    ) -> HashMap<usize, Onward<'n>> {
-        let from = |lane: usize| {
-            let all = onward.values().map(move |straight| {
-                let apart = lane.abs_diff(straight.from) as u32;
-                Onward { changes: straight.changes + apart, ..*straight }
-            });
-            all.min_by_key(|o| (o.changes, lane.abs_diff(o.from), o.from))
-        };
-        edge.lanes.clone().filter_map(|lane| Some((lane, from(lane)?))).collect()
-    }
-
     /// Whether vehicles of all these classes may use a lane.
     pub fn is_open(&self, lane: usize, classes: &[&str]) -> bool {
         classes.iter().all(|class| self.lanes[lane].classes.contain(class))
@@ -200,4 +183,17 @@ impl Net {
             via = self.connections_from(lane).find(|c| c.to == connection.to).and_then(|c| c.via);
         }
     }
+}
+
+/// Returns how a route goes on from each lane of an edge if vehicles change to one of the lanes
+/// from which it goes on, with the fewest changes.
+fn beside<'n>(edge: &Edge, onward: &HashMap<usize, Onward<'n>>) -> HashMap<usize, Onward<'n>> {
+    let from = |lane: usize| {
+        let all = onward.values().map(move |straight| {
+            let apart = lane.abs_diff(straight.from) as u32;
+            Onward { changes: straight.changes + apart, ..*straight }
+        });
+        all.min_by_key(|o| (o.changes, lane.abs_diff(o.from), o.from))
+    };
+    edge.lanes.clone().filter_map(|lane| Some((lane, from(lane)?))).collect()
 }

@@ -45,7 +45,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:115:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
+    site.xml:118:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
