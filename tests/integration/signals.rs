@@ -91,14 +91,14 @@ fn passing_red_is_punished_once_and_counted() {
     let folder = folder();
     // Only passing red has a reward, and vehicles that crash are gone at once.
     let weights = [(
-        "progress=\"1\" speed=\"0.1\" arrive=\"10\" outOfRoad=\"-10\" crash=\"-10\" redLight=\"-10\"",
+        "progress=\"1\" speed=\"0.1\" arrive=\"10\" outOfRoad=\"-10\" crash=\"-10\" redLight=\"-100\"",
         "progress=\"0\" speed=\"0\" arrive=\"0\" outOfRoad=\"0\" crash=\"0\" redLight=\"-3\"",
     )];
     let task = changed(folder.path(), &weights, &[]);
     for (driver, throttle) in [(Driver::Agents, 1.0), (Driver::Sumo, 0.0)] {
         let options = VecOptions { driver, ..agents_drive(2, 9, Hosting::default()) };
         let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
-        let mut punished = vec![0; 2 * 8];
+        let mut punished = [0; 2 * 8];
         let mut records = Vec::new();
         let mut counts = Vec::new();
         while records.len() < 6 {

@@ -290,10 +290,9 @@ impl World {
             Phase::Idle | Phase::Ended => return Ok(()),
             Phase::Spawning => {
                 self.place(world, snapshot)?;
-                let agents = &mut self.traffic.slots[..self.task.agents];
-                agents
-                    .iter_mut()
-                    .for_each(|slot| Signals::enter(&self.task.map.traffic_lights, slot));
+                for slot in &mut self.traffic.slots[..self.task.agents] {
+                    Signals::enter(&self.task.map.traffic_lights, slot);
+                }
                 self.episode.phase = Phase::Running;
                 self.intentions.iter_mut().for_each(Intentions::begin);
                 self.frame.begin(true);
@@ -368,9 +367,8 @@ impl World {
     /// agents from route files are still to come.
     fn goes_on(&self) -> bool {
         let task = &self.task;
-        let waits = |slot: &Slot| slot.is_waiting();
         self.episode.step < task.scenario.termination.horizon
-            && (self.traffic.slots[..task.agents].iter().any(waits)
+            && (self.traffic.slots[..task.agents].iter().any(Slot::is_waiting)
                 || self.background.expects_agents(task))
     }
 

@@ -63,7 +63,7 @@ impl Adviser<'_, '_, '_> {
                 "red-light",
                 ["reward", "redLight"],
                 "signals rule routes of agents, but nothing keeps agents from passing red".into(),
-                "set redLight to a number below 0, such as the reward of a crash",
+                "set redLight to a number below 0, such as ten times the reward of a crash",
             ));
         }
     }

@@ -186,8 +186,9 @@ impl Layout {
         scenario.observation.conflict_streams = streams;
         scenario.observation.stream_vehicles = longest_row.min(3) as usize;
         if has_signals {
-            // Passing red is as bad as a crash.
-            scenario.reward.red_light = scenario.reward.crash;
+            // Agents discount what comes after a long wait: the penalty of a crash alone would not
+            // keep them from passing red.
+            scenario.reward.red_light = 10.0 * scenario.reward.crash;
         }
         scenario.termination.horizon = horizon.clamp(500.0, 1e6) as u32;
         if steers != Steers::No {
