@@ -211,7 +211,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
         "{lacks}"
     );
     let time = refused(&format!("{input}<begin value=\"now\"/></configuration>"));
-    assert!(time.contains("b.sumocfg:2:37: `now` is not a valid value of <begin>"), "{time}");
+    assert!(time.contains("b.sumocfg:2:40: `now` is not a valid value of <begin>"), "{time}");
     let gone = refused(&format!("{input}<r value=\"gone.rou.xml\"/></configuration>"));
     assert!(gone.starts_with("cannot read `") && gone.contains("gone.rou.xml"), "{gone}");
     assert!(!folder.path().join("sumo_nets/other").exists());
