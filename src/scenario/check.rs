@@ -160,10 +160,8 @@ fn agents(scenario: &Scenario, demand: &Demand, reader: &Reader) -> Result<(), E
 /// Returns the error of a scenario without spawn places in which no agent ever departs.
 fn no_agent(scenario: &Scenario, plan: &DemandPlan, reader: &Reader) -> Error {
     let (key, named) = named(scenario);
-    let mut allowed = "vehicles that can be used and depart within an episode".to_owned();
-    if let Some((left_out, _)) = plan.warning() {
-        allowed += &format!(" ({left_out})");
-    }
+    let why = plan.warning().map(|(left_out, _)| format!(" ({left_out})")).unwrap_or_default();
+    let allowed = format!("vehicles that can be used and depart within an episode{why}");
     Error::value(reader.place_in("agents", key), "agents", key, &named, allowed)
 }
 

@@ -281,14 +281,14 @@ impl Demand {
         }
         let types = self.types_of(reader, node, walks)?;
         let stops = self.stops(reader, node)?;
-        let not_taken = self.not_taken(node, known).or(stops.as_ref().err().cloned());
+        let reason = not_taken(node, known).or(stops.as_ref().err().cloned());
         let stops = stops.unwrap_or_default();
-        let routes = match &not_taken {
+        let routes = match &reason {
             None => self.itinerary(reader, node, id, walks, &stops)?,
             Some(_) => Vec::new(),
         };
         let triggered = single && node.attribute("depart").is_some_and(|t| TRIGGERED.contains(&t));
-        let not_taken = not_taken.or(triggered.then(|| WITHOUT_TIME.to_owned()));
+        let not_taken = reason.or(triggered.then(|| WITHOUT_TIME.to_owned()));
         let (begin, (spacing, number, end)) = if triggered {
             (0.0, (Spacing::Equal(1.0), 1, f64::INFINITY))
         } else if single {
@@ -354,16 +354,6 @@ impl Demand {
             not_taken,
         });
         Ok(())
-    }
-
-    /// Returns why a vehicle, trip, person or flow is left out; `None` if it has nothing that is not
-    /// taken.
-    fn not_taken(&self, node: Node, known: &table::Known) -> Option<String> {
-        let walks = || node.children().filter(|child| child.has_tag_name("walk"));
-        let walk = || walks().find_map(|walk| table::left_out(walk, &table::WALK));
-        let second =
-            || walks().nth(1).map(|_| format!("it has several walks: {}", table::ONE_WALK));
-        table::left_out(node, known).or_else(walk).or_else(second)
     }
 
     /// Returns the types of a vehicle, person or flow.
@@ -443,6 +433,15 @@ impl Demand {
                 .hinted("give `route`, `from` and `to`, or a <route> within the element")),
         }
     }
+}
+
+/// Returns why a vehicle, trip, person or flow is left out; `None` if it has nothing that is not
+/// taken.
+fn not_taken(node: Node, known: &table::Known) -> Option<String> {
+    let walks = || node.children().filter(|child| child.has_tag_name("walk"));
+    let walk = || walks().find_map(|walk| table::left_out(walk, &table::WALK));
+    let second = || walks().nth(1).map(|_| format!("it has several walks: {}", table::ONE_WALK));
+    table::left_out(node, known).or_else(walk).or_else(second)
 }
 
 fn repeat<T: Clone>(list: &[T], times: usize) -> Vec<T> {

@@ -43,20 +43,21 @@ impl Demand {
         let place = STOPPING_PLACES.iter().find_map(|kind| Some((*kind, node.attribute(*kind)?)));
         let halt = match place {
             None => place_of(reader, node)?,
-            Some((kind, id)) => match self.stopping_places.get(&(kind.into(), id.into())) {
-                Some(halt) => halt.clone(),
-                None => {
-                    let own = self.stopping_places.keys().filter(|known| known.0 == kind);
-                    let similar = did_you_mean(nearest(id, own.map(|known| known.1.as_str())));
-                    let id = shorten(id);
-                    return Ok(Err(format!(
-                        "no {kind} `{id}` of its stop stands above in the files{similar}"
-                    )));
-                }
-            },
+            Some((kind, id)) => {
+                let known = self.stopping_places.get(&(kind.into(), id.into()));
+                let Some(halt) = known else { return Ok(Err(self.no_place(kind, id))) };
+                halt.clone()
+            }
         };
         let parking = halt.parking || truth(reader, node, "parking", "false")?;
         Ok(Ok(Halt { duration: duration.unwrap_or(0.0), until, parking, ..halt }))
+    }
+
+    /// Returns why a stop at a place that does not stand above cannot be made.
+    fn no_place(&self, kind: &str, id: &str) -> String {
+        let own = self.stopping_places.keys().filter(|known| known.0 == kind);
+        let similar = did_you_mean(nearest(id, own.map(|known| known.1.as_str())));
+        format!("no {kind} `{}` of its stop stands above in the files{similar}", shorten(id))
     }
 
     /// Reads a place where vehicles stop.
