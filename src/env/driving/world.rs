@@ -7,22 +7,21 @@
 //! exchange per step, however it is hosted.
 
 mod record;
+mod views;
 
 use std::sync::Arc;
 
-use super::agents::{Slot, Status, Traffic};
+use super::agents::{Slot, Traffic};
 use super::background::Background;
 use super::collisions::Collisions;
-use super::comm::physical_mask;
 use super::episode::{Episode, Phase, WorldState};
 use super::error::Error;
 use super::frame::{AgentView, Frame, OtherView};
 use super::geometry::Pose;
-use super::intention::{Intentions, Knowledge};
+use super::intention::Intentions;
 use super::loitering::{self, Loitering};
 use super::metrics::EpisodeRecord;
 use super::motion;
-use super::observation::View;
 use super::reward::Rewards;
 use super::right_of_way::RightOfWay;
 use super::signals::Signals;
@@ -420,44 +419,5 @@ impl World {
     /// Whether the vehicles get priorities.
     pub(crate) fn keeps_right_of_way(&self) -> bool {
         self.right_of_way.is_kept()
-    }
-
-    /// Writes to the frame which agents are present, act, are truncated, and are in range of each
-    /// other. Returns the number of agents that act in the coming step.
-    fn mark_present(&mut self) -> u32 {
-        let scenario = &self.task.scenario;
-        let horizon = self.episode.step >= scenario.termination.horizon;
-        let mut acting = 0;
-        for (i, slot) in self.traffic.slots[..self.task.agents].iter().enumerate() {
-            let present = slot.status == Status::Active;
-            self.present[i] = present;
-            self.poses[i] = slot.pose;
-            self.frame.truncated[i] = f32::from(u8::from(present && horizon));
-            self.frame.active[i] = f32::from(u8::from(present && !horizon));
-            acting += u32::from(present && !horizon);
-        }
-        let range = scenario.communication.range;
-        physical_mask(&self.poses, &self.present, range, &mut self.frame.comm);
-        if !self.frame.sharing.is_empty() {
-            let range = scenario.reward.share_range;
-            physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
-        }
-        acting
-    }
-
-    /// Writes the observations and privileged states of the agents to the frame.
-    fn write_views(&mut self) {
-        let (task, traffic) = (&*self.task, &self.traffic);
-        let horizon = f64::from(task.scenario.termination.horizon);
-        let view = View {
-            scenario: &task.scenario,
-            map: &task.map,
-            traffic,
-            knowledge: Knowledge::public(&task.map, traffic, self.intentions.as_ref()),
-            priorities: &self.right_of_way.priorities,
-            time_left: 1.0 - f64::from(self.episode.step) / horizon,
-            slot: 0,
-        };
-        self.frame.write_views(task, &view, &self.present);
     }
 }

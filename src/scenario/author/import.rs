@@ -7,7 +7,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use super::files::{Layout, Site, Steers};
-use super::site::{Candidate, LeftOut, Survey, sites};
+use super::left_out::LeftOut;
+use super::site::{Candidate, Survey, sites};
 use super::{Error, netconvert};
 use crate::record::write_atomic;
 use crate::sumo::net::{Net, Path as LanePath, cut, did_you_mean, nearest, shorten};

@@ -5,6 +5,7 @@ mod configuration;
 mod error;
 mod files;
 mod import;
+mod left_out;
 mod netconvert;
 mod plan;
 mod site;

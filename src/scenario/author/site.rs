@@ -5,11 +5,11 @@ use std::collections::{BTreeMap, HashMap, HashSet};
 
 use super::super::Route;
 use super::files::{Row, meet};
+use super::left_out::LeftOut;
 use super::{FIRST, SPACING};
 use crate::sumo::net::{
     CARS, Connection, EdgeFunction, Junction, Lane, Net, Path as LanePath, Problem,
 };
-use crate::words::counted;
 
 /// Distance between the last spawn place and the end of its lane: half a vehicle and the jitter
 /// \[m\].
@@ -30,8 +30,6 @@ const UPSTREAM: f64 = 300.0;
 /// Length of the shortest last edge, and distance of the finish line from its end \[m\].
 const LAST: f64 = 6.0;
 const FINISH: f64 = 5.0;
-/// Largest number of names in a line about what was left out.
-const NAMED: usize = 6;
 
 /// A junction that is a possible site of the scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -75,40 +73,6 @@ impl Proposal<'_> {
     /// Returns whether the site is at this junction.
     pub(super) fn is_at(&self, junction: &str) -> bool {
         self.junctions.contains(&junction)
-    }
-}
-
-/// Lanes, connections and routes that a site does not use, by reason.
-#[derive(Debug, Clone, Default)]
-pub(super) struct LeftOut(BTreeMap<&'static str, Vec<String>>);
-
-impl LeftOut {
-    fn add(&mut self, reason: &'static str, name: String) {
-        let names = self.0.entry(reason).or_default();
-        if !names.contains(&name) {
-            names.push(name);
-        }
-    }
-
-    /// Returns what was left out here and elsewhere.
-    pub(super) fn and(mut self, other: &Self) -> Self {
-        for (reason, names) in &other.0 {
-            self.0.entry(reason).or_default().extend_from_slice(names);
-        }
-        self
-    }
-
-    /// Returns a line for each reason: number, reason and names.
-    pub(super) fn lines(&self) -> impl Iterator<Item = String> + '_ {
-        self.0.iter().map(|(reason, names)| {
-            let more = if names.len() > NAMED { ", ..." } else { "" };
-            let shown = names.iter().take(NAMED).cloned().collect::<Vec<_>>().join(", ");
-            // The first word of a reason is a noun in the plural.
-            let (things, rest) = reason.split_once(' ').unwrap_or((reason, ""));
-            let counted = counted(names.len(), things.strip_suffix('s').unwrap_or(things));
-            let rest = if rest.is_empty() { String::new() } else { format!(" {rest}") };
-            format!("left out: {counted}{rest} ({shown}{more})")
-        })
     }
 }
 
