@@ -8,11 +8,14 @@ use std::sync::Arc;
 use iwol_sumo::env::{Driver, Frame, Pursuit, Task, VecEnv, World};
 use iwol_sumo::evaluate::Policy;
 use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::scenario::author::import_configuration;
 use iwol_sumo::scenario::{LaneChange, Scenario};
 use iwol_sumo::sumo::domain::vehicle::Addition;
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::process::{Options, Process};
-use iwol_sumo::sumo::{Backend, Body, Client, Command, Hosting, Snapshot, VehicleState};
+use iwol_sumo::sumo::{
+    Backend, Body, Client, Command, Hosting, Installation, Snapshot, VehicleState,
+};
 
 use super::authoring::run;
 use crate::support::{agents_drive, folder, play, shipped, turn};
@@ -200,6 +203,27 @@ fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
         furthest = world.others().map(|other| other.pose.x).fold(furthest, f64::max);
     }
     assert!(furthest > 420.0, "they pass the fork: {furthest}");
+}
+
+/// SUMO's lane changes take no time, so that nobody is between two lanes: a vehicle that pulls out of
+/// a queue does not sweep over the one ahead.
+#[test]
+fn lane_changes_of_sumos_driver_are_no_collisions() {
+    let folder = folder();
+    let game = Installation::find().unwrap().home().unwrap().join("tools/game");
+    fs::create_dir(folder.path().join("bs3d")).unwrap();
+    for file in ["bs3d.sumocfg", "input_additional.add.xml", "bs3d/bs.net.xml", "bs3d/bs3d.rou.xml"]
+    {
+        fs::copy(game.join(file), folder.path().join(file)).unwrap();
+    }
+    let configuration = folder.path().join("bs3d.sumocfg");
+    let imported =
+        import_configuration(folder.path(), "braunschweig", &configuration, None).unwrap();
+    let scenario = Scenario::load(&imported.scenario).unwrap();
+    let task = Arc::new(Task::new(&scenario, scenario.agents.default).unwrap());
+    let episodes = play(&task, &Policy::Sumo, 2, Seed::new(1).child("evaluation")).episodes;
+    let collisions: Vec<u32> = episodes.iter().map(|record| record.own_collisions).collect();
+    assert_eq!(collisions, [0, 0]);
 }
 
 #[test]

@@ -276,18 +276,22 @@ impl Background {
             let front = [body.x, body.y];
             let path = |slot: &Slot| task.map.routes[slot.route].lanes();
             let road_user = &mut self.effects.road_users[i];
-            let (s, lateral, segment) =
-                match task.map.lane_routes.follow(&task.map.routes, slot, &body) {
-                    Some(on_new_lane) => on_new_lane,
-                    None if slot.departed => path(slot).project(front, slot.segment),
-                    None => path(slot).nearest(front),
-                };
+            let changed = task.map.lane_routes.follow(&task.map.routes, slot, &body);
+            let (s, lateral, segment) = match changed {
+                Some(on_new_lane) => on_new_lane,
+                None if slot.departed => path(slot).project(front, slot.segment),
+                None => path(slot).nearest(front),
+            };
             let route = &task.map.routes[slot.route];
             (slot.s, slot.segment) = (route.on_path(s - half), segment);
             // Pedestrians cut corners, so that their offset says nothing about the path ahead.
             slot.lateral = if route.is_walked() { 0.0 } else { lateral };
             if slot.departed {
-                slot.before = slot.pose;
+                slot.before = match changed {
+                    // A lane change takes no time: nobody is between two lanes.
+                    Some(_) => pose.behind(state.speed * task.scenario.control.interval),
+                    None => slot.pose,
+                };
                 if slot.status == Status::Active {
                     let braking = (slot.speed - state.speed) / task.scenario.control.interval;
                     road_user.braking = road_user.braking.max(braking);

@@ -33,6 +33,13 @@ impl Pose {
         Pose { x: point[0] - lateral * sin, y: point[1] + lateral * cos, heading }
     }
 
+    /// Returns the pose `distance` metres behind this one, with the same heading.
+    #[must_use]
+    pub(crate) fn behind(&self, distance: f64) -> Self {
+        let (sin, cos) = self.heading.sin_cos();
+        Self { x: self.x - distance * cos, y: self.y - distance * sin, ..*self }
+    }
+
     /// Interpolates linearly towards `next`, headings along the shorter arc; `t` in 0..=1.
     #[must_use]
     pub fn towards(&self, next: &Pose, t: f64) -> Pose {

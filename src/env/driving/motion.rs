@@ -306,9 +306,10 @@ fn place_on_lane(task: &Task, slot: &mut Slot, body: &Body, speed: f64) {
     {
         slot.lane_steps = (LANE_TIME / task.scenario.control.interval).round() as u32;
     }
+    let driven = speed * task.scenario.control.interval;
     if on_new_lane {
         // The two routes begin at different places.
-        slot.s_before = slot.s - speed * task.scenario.control.interval;
+        slot.s_before = slot.s - driven;
         slot.lines_passed = map.traffic_lights.passed_at(slot.route, slot.s_before + half);
     }
     if speed <= 0.0 {
@@ -318,6 +319,10 @@ fn place_on_lane(task: &Task, slot: &mut Slot, body: &Body, speed: f64) {
     let (sin, cos) = body.heading.sin_cos();
     let centre = [body.x - half * cos, body.y - half * sin];
     slot.pose = Pose::beside(centre, body.heading, slot.lateral);
+    if on_new_lane {
+        // A lane change takes no time: nobody is between two lanes.
+        slot.before = slot.pose.behind(driven);
+    }
 }
 
 /// Returns the position of the front of an agent from a route file that reached the end of its trip
