@@ -215,9 +215,8 @@ impl Recorder {
                 columns.insert(name.to_owned(), Column::new("m", column));
             }
         }
-        for (a, action) in self.rows.action.iter().enumerate() {
-            let name = if a == 0 { "action".to_owned() } else { format!("action_{}", a + 1) };
-            columns.insert(name, Column::new("1", action));
+        for (dimension, action) in task.spec.actions.iter().zip(&self.rows.action) {
+            columns.insert(dimension.name.to_owned(), Column::new("1", action));
         }
         if self.rows.value.iter().any(|value| value.is_finite()) {
             columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
