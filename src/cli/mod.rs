@@ -64,7 +64,8 @@ enum Verb {
     Train(train::Args),
     /// Evaluate trained and untrained policies without a window.
     Evaluate(evaluate::Args),
-    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept, or write it as an ONNX model.
+    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept, or write it as
+    /// an ONNX model.
     Export(export::Args),
     /// Train and evaluate a grid of settings and seeds.
     Sweep(sweep::Args),

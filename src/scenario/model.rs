@@ -159,7 +159,7 @@ element! {
         /// exploration noise where brakes are stronger than the engine; the larger the value, the
         /// sooner all vehicles drive at full throttle.
         pub initial_throttle: f64,
-        /// Who changes the lanes of vehicles that do not steer.
+        /// What decides on the lane changes of vehicles that do not steer.
         pub lane_change: LaneChange,
         /// Parameters of a vehicle that steers. With them, an action has two components: steering,
         /// then throttle and brake. Without them, throttle and brake are the only component, and
@@ -168,7 +168,7 @@ element! {
     }
 }
 
-/// Who changes the lanes of agents that do not steer.
+/// What decides on the lane changes of agents that do not steer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum LaneChange {
     /// Nobody: agents keep their lanes.

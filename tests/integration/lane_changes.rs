@@ -118,7 +118,7 @@ fn sumo_changes_to_the_lane_that_the_route_needs() {
     let reward = metrics.reward.mean;
     assert!((500.0..600.0).contains(&reward), "progress from 15..105 m to 595 m, and 10: {reward}");
 
-    // Whoever keeps the wrong lane stands at its end.
+    // An agent that keeps the wrong lane stands at its end.
     let folder = crate::support::folder();
     let asked = self::task(&forked(folder.path(), r#"laneChange="action""#, ""), 4);
     let metrics = play(&asked, &steady(), 2, Seed::new(3)).metrics().expect("episodes");

@@ -208,7 +208,8 @@ fn a_vehicle_drives_on_without_a_stop_that_sumo_refuses() {
     assert!(output.status.success() && times == 1, "{said}");
 }
 
-/// At a small capacity, vehicles that have waited longer depart first, wherever they stand in the file.
+/// At a small capacity, vehicles that have waited longer depart first, wherever they stand in the
+/// file.
 #[test]
 fn no_flow_starves_at_a_small_capacity() {
     let folder = folder();

@@ -71,7 +71,8 @@ pub struct Map {
     pub(super) route_edges: Vec<Vec<String>>,
     /// Time that each route takes at the speed limits of lanes and vehicle \[s\].
     pub(super) free_time: Vec<f64>,
-    /// The departures of vehicles and persons of the route files. Their routes are indices into [`Map::routes`].
+    /// The departures of vehicles and persons of the route files. Their routes are indices into
+    /// [`Map::routes`].
     pub(super) plan: DemandPlan,
     /// Parts of each route that lie in junctions.
     pub(super) junctions: Vec<Vec<JunctionStretch>>,

@@ -1,4 +1,5 @@
-//! The table of elements and attributes: it has all of SUMO's schema, and the reader does what it says.
+//! The table of elements and attributes: it has all of SUMO's schema, and the reader does what it
+//! says.
 
 use super::*;
 
