@@ -26,12 +26,12 @@ mod values;
 
 pub use document::Document;
 pub use error::Error;
-pub(crate) use flat::between;
-pub use flat::{Change, changes, flatten, full_name, plain};
+pub use flat::{Change, flatten, full_name, plain};
 pub use layers::{Layers, Resolution};
 pub use origin::{Origin, Origins};
 pub use presets::{PRESETS, Preset};
-pub use scenario::ScenarioSettings;
+pub(crate) use scenario::flat_changes;
+pub use scenario::{ScenarioSettings, changes};
 pub use uses::no_matter_of_evaluation;
 
 use std::path::PathBuf;

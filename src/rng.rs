@@ -63,6 +63,11 @@ pub fn symmetric(rng: &mut Rng) -> f64 {
     rng.random::<f64>() * 2.0 - 1.0
 }
 
+/// Draws a uniform number in 0..1.
+pub fn uniform(rng: &mut Rng) -> f64 {
+    rng.random()
+}
+
 /// Draws a uniform integer below `bound`, which must be positive.
 pub fn below(rng: &mut Rng, bound: usize) -> usize {
     rng.random_range(0..bound)

@@ -48,15 +48,8 @@ impl std::fmt::Display for Change {
     }
 }
 
-/// Returns the settings in which a configuration `is` differs from `was`, both as TOML, sorted by
-/// name.
-pub fn changes(was: &str, is: &str) -> Vec<Change> {
-    let flat = |text: &str| flatten(&text.parse().unwrap_or_default());
-    between(&flat(was), &flat(is))
-}
-
-/// Returns the same as [`changes`], for flat settings.
-pub(crate) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
+/// Returns the settings in which a configuration `is` differs from `was`, sorted by name.
+pub(super) fn between(was: &BTreeMap<String, Value>, is: &BTreeMap<String, Value>) -> Vec<Change> {
     let keys: BTreeSet<_> =
         was.keys().chain(is.keys()).filter(|key| was.get(*key) != is.get(*key)).collect();
     let show = |value: Option<&Value>| value.map_or_else(|| "not set".to_owned(), plain);
@@ -72,7 +65,8 @@ mod tests {
     #[test]
     fn changes_name_the_settings_that_differ_and_nothing_else() {
         let said = |was: &str, is: &str| {
-            changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>()
+            let flat = |text: &str| flatten(&text.parse().unwrap());
+            between(&flat(was), &flat(is)).iter().map(ToString::to_string).collect::<Vec<_>>()
         };
         let was = "algorithm = \"mat\"\nsteps = 5\n[ppo]\ngamma = 0.99\nclip = 0.2\n";
         assert!(said(was, was).is_empty());

@@ -3,6 +3,7 @@
 //! allowed and what it means is declared in the schema of scenario files alone.
 
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator};
@@ -10,6 +11,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Map, json};
 use toml::{Table, Value};
 
+use super::flat::{between, flatten};
 use super::origin::{Origin, Origins};
 use super::{Change, Error, plain};
 use crate::scenario::{
@@ -97,6 +99,31 @@ impl ScenarioSettings {
             },
         })
     }
+}
+
+/// Returns the settings in which a configuration `is` differs from an earlier one, `was`, both as
+/// TOML, sorted by name. An attribute of the scenario that `was` lacks belongs to a later version
+/// of the program and counts as its default.
+pub fn changes(was: &str, is: &str) -> Vec<Change> {
+    let flat = |text: &str| flatten(&text.parse().unwrap_or_default());
+    flat_changes(&flat(was), &flat(is))
+}
+
+/// Returns the same as [`changes`], for flat settings.
+pub(crate) fn flat_changes(
+    was: &BTreeMap<String, Value>,
+    is: &BTreeMap<String, Value>,
+) -> Vec<Change> {
+    let mut was = was.clone();
+    for Overridable { path, attribute, .. } in overridable() {
+        let key = format!("scenario.{}", path.join("."));
+        if let Some(default) = attribute.default.as_deref()
+            && is.contains_key(&key)
+        {
+            was.entry(key).or_insert_with(|| typed(attribute, Some(default)));
+        }
+    }
+    between(&was, is)
 }
 
 /// Returns a value of the attribute at `path` as it is stored, or why it is not allowed; `None` if

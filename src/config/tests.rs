@@ -4,7 +4,7 @@ use std::path::Path;
 
 use toml::Value;
 
-use super::{Config, Document, Error, Layers, Origin, PRESETS, Train, flatten};
+use super::{Config, Document, Error, Layers, Origin, PRESETS, Train, changes, flatten};
 use crate::algo::settings;
 use crate::scenario::Scenario;
 
@@ -245,6 +245,17 @@ fn a_setting_is_a_path_into_the_scenario() {
     ] {
         assert!(of(&short, &sets).unwrap_err().to_string().contains("none.xml"));
     }
+}
+
+/// A run of an earlier version lacks the attributes that scenarios have got since.
+#[test]
+fn attributes_of_later_versions_count_as_their_defaults() {
+    let said =
+        |was: &str, is: &str| changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>();
+    let was = "[scenario.control]\naccel = 2.0\n";
+    let is = |lane_change: &str| format!("{was}laneChange = \"{lane_change}\"\n");
+    assert!(said(was, &is("none")).is_empty(), "none is the default");
+    assert_eq!(said(was, &is("route")), ["scenario.control.laneChange = route (was none)"]);
 }
 
 #[test]

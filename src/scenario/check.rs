@@ -248,6 +248,16 @@ fn spawns(
             let id = &scenario.routes[other].id;
             return Err(Error::value(place, "spawn", "route", id, allowed));
         }
+        let (limits, departure) = (&scenario.termination, row.departure);
+        if departure.depart_speed > scenario.vehicle.max_speed {
+            let allowed = format!("at most {} m/s (`maxSpeed`)", scenario.vehicle.max_speed);
+            return Err(reader.value(spawn, "departSpeed", allowed));
+        }
+        let episode = f64::from(limits.horizon) * scenario.control.interval;
+        if departure.end >= episode {
+            let allowed = format!("less than {episode} s, the length of an episode (`horizon`)");
+            return Err(reader.value(spawn, "end", allowed));
+        }
         let (length, half) = (map.lanes[lane].length, half_on(lane));
         let ends =
             row.routes.iter().map(|&i| &scenario.routes[i]).map(|route| match route.arrival_pos {

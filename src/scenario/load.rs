@@ -9,7 +9,8 @@ use super::attribute::Field;
 use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
     AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange,
-    Net, Observation, Reward, Route, Scenario, SpawnRow, Termination, Traffic, Vehicle, check,
+    Net, Observation, PlaceDeparture, Reward, Route, Scenario, SpawnRow, Termination, Traffic,
+    Vehicle, check,
 };
 use crate::sumo::net::{CARS, NetError, did_you_mean, nearest, shorten};
 
@@ -280,11 +281,17 @@ fn row(
         let allowed = "routes that begin on the same edge and have the same `lane`";
         return Err(element.reader.value(element.node, "route", allowed));
     }
+    let departure = PlaceDeparture::read(element, "")?;
+    if departure.end < departure.begin {
+        let allowed = format!("at least {} (`begin`)", departure.begin);
+        return Err(element.reader.value(element.node, "end", allowed));
+    }
     Ok(SpawnRow {
         routes: Arc::from(drawn),
         first: Field::read(element, "first")?,
         spacing: Field::read(element, "spacing")?,
         count: Field::read(element, "count")?,
+        departure,
     })
 }
 
@@ -363,7 +370,7 @@ mod tests {
         let read = |element: &str| match element {
             "scenario" => vec!["name".into()],
             "net" => vec!["file".into()],
-            "spawn" => ["route", "first", "spacing", "count"].map(String::from).to_vec(),
+            "spawn" => names::<PlaceDeparture>(&["route", "first", "spacing", "count"]),
             "agents" => names::<AgentRange>(&[]),
             "route" => names::<Route>(&[]),
             "vehicle" => names::<Vehicle>(&[]),
@@ -404,6 +411,10 @@ mod tests {
             ("observation", "signalDistance", Observation::SIGNAL_DISTANCE),
             ("observation", "lidarBeams", Lidar::default().beams as f64),
             ("observation", "lidarRange", Lidar::default().range),
+            ("spawn", "presence", PlaceDeparture::default().presence),
+            ("spawn", "begin", PlaceDeparture::default().begin),
+            ("spawn", "end", PlaceDeparture::default().end),
+            ("spawn", "departSpeed", PlaceDeparture::default().depart_speed),
             ("traffic", "penetration", Traffic::default().penetration),
             ("traffic", "capacity", f64::from(Traffic::default().capacity)),
         ] {

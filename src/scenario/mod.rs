@@ -28,8 +28,8 @@ pub use demand::{
 pub use error::{Error, Place};
 pub use finding::{Finding, Severity};
 pub use model::{
-    AgentRange, Border, Communication, Control, FileTime, Jitter, LaneChange, Net, Reward, Route,
-    Scenario, SpawnPlace, SpawnRow, Steering, Termination, Traffic, Vehicle,
+    AgentRange, Border, Communication, Control, FileTime, Jitter, LaneChange, Net, PlaceDeparture,
+    Reward, Route, Scenario, SpawnPlace, SpawnRow, Steering, Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
 pub use overrides::{Overridable, Override, Refused, ScenarioFile, cannot_override, overridable};

@@ -82,6 +82,8 @@ pub struct SpawnRow {
     pub spacing: f64,
     /// Number of places.
     pub count: u32,
+    /// Whether, when and how fast vehicles depart from these places.
+    pub departure: PlaceDeparture,
 }
 
 /// A spawn place.
@@ -91,6 +93,36 @@ pub struct SpawnPlace {
     pub routes: Arc<[usize]>,
     /// Position on the routes' first edge \[m\].
     pub pos: f64,
+    /// Whether, when and how fast a vehicle departs from this place.
+    pub departure: PlaceDeparture,
+}
+
+element! {
+    /// Whether, when and how fast vehicles depart from spawn places.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub struct PlaceDeparture {
+        /// Probability that a vehicle departs from a place in an episode, above 0 to 1.
+        pub presence: f64,
+        /// Earliest time of the departure, from the start of the episode \[s\].
+        pub begin: f64,
+        /// Latest time of the departure \[s\].
+        pub end: f64,
+        /// Speed of a vehicle when it departs \[m/s\].
+        pub depart_speed: f64,
+    }
+}
+
+impl PlaceDeparture {
+    /// Returns whether a vehicle starts with the episode, standing still.
+    pub fn is_immediate(&self) -> bool {
+        self.end <= 0.0 && self.depart_speed <= 0.0
+    }
+}
+
+impl Default for PlaceDeparture {
+    fn default() -> Self {
+        Self { presence: 1.0, begin: 0.0, end: 0.0, depart_speed: 0.0 }
+    }
 }
 
 element! {
@@ -439,6 +471,7 @@ impl Net {
             (0..row.count).map(|i| SpawnPlace {
                 routes: Arc::clone(&row.routes),
                 pos: row.first + row.spacing * f64::from(i),
+                departure: row.departure,
             })
         })
     }

@@ -38,6 +38,7 @@ impl Scenario {
                             row.first.write(tag, "first");
                             row.spacing.write(tag, "spacing");
                             row.count.write(tag, "count");
+                            row.departure.write(tag, "");
                         });
                     }
                 });

@@ -203,7 +203,7 @@ impl Cell {
                 path: self.config.scenario.file.clone(),
             });
         }
-        match config::between(&was, &is).into_iter().next() {
+        match config::flat_changes(&was, &is).into_iter().next() {
             None => Ok(()),
             Some(config::Change { key, was, is }) => {
                 Err(Error::Changed { folder: self.folder.clone(), key, was, is })

@@ -383,7 +383,7 @@ prop_compose! {
     ) -> Vec<Net> {
         let mut nets: Vec<Net> = rows.into_iter().map(|(file, rows)| Net {
             file: Path::new("some/folder").join(format!("../a&<\"'> {file}.net.xml")),
-            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { routes: [route].into(), first, spacing, count }).collect(),
+            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { routes: [route].into(), first, spacing, count, departure: Default::default() }).collect(),
         }).collect();
         nets.sort_by_key(Net::capacity);
         nets

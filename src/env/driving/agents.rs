@@ -78,6 +78,8 @@ pub(crate) struct Slot {
     pub(crate) held: Option<f64>,
     /// Whether SUMO has put the vehicle on the road.
     pub(crate) departed: bool,
+    /// Step after which the agent was first on the road; 0 for one that starts with the episode.
+    pub(crate) entered: u32,
     /// How an agent from a route file departed; `None` for all other vehicles.
     pub(crate) departure: Option<Departure>,
     /// Steps for which a wreck remains.
@@ -116,9 +118,9 @@ impl Slot {
         self.status == Status::Empty && !self.added
     }
 
-    /// Whether SUMO has been given the agent of a route file and has not yet found room for it.
+    /// Whether SUMO has been given the agent and has not yet put the vehicle on the road.
     pub(super) fn is_waiting(&self) -> bool {
-        self.departure.is_some() && self.added && !self.departed
+        self.status == Status::Empty && self.added && !self.departed
     }
 }
 

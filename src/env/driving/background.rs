@@ -17,16 +17,14 @@ use super::agents::{Slot, Status};
 use super::collisions::Collisions;
 use super::departure::Departure;
 use super::effects::Effects;
-use super::geometry::Pose;
+use super::geometry::{Pose, Size};
 use super::metrics::BackgroundMetrics;
 use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
+use super::spawn::{MARGIN, Placed};
 use super::task::{Driver, Task};
 use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
 use crate::sumo::{Command, Snapshot};
-
-/// Half a millisecond \[s\]: SUMO's times are whole milliseconds, and sums of times are rounded.
-const MARGIN: f64 = 5e-4;
 
 /// Departure times of a vehicle or flow of the route files.
 #[derive(Debug, Clone)]
@@ -57,30 +55,43 @@ struct Due {
     is_agent: bool,
 }
 
+/// A background vehicle at a spawn place that has not departed yet.
+#[derive(Debug, Clone, Copy)]
+struct Pending {
+    slot: usize,
+    placed: Placed,
+    /// Index of the type in SUMO's list.
+    vehicle_type: u32,
+    size: Size,
+}
+
 /// The background traffic of an episode. Its slots are given to the methods as a slice without
 /// those of the agents.
 #[derive(Debug, Clone)]
 pub(super) struct Background {
     driver: Driver,
     clocks: Vec<Clock>,
+    /// Vehicles at spawn places that have not departed yet.
+    pending: Vec<Pending>,
     effects: Effects,
 }
 
 impl Background {
     pub(super) fn new(task: &Task, driver: Driver) -> Self {
         let clocks = Vec::with_capacity(task.map.plan.sources.len());
-        Self { driver, clocks, effects: Effects::new(task.agents, task.others) }
+        let effects = Effects::new(task.agents, task.others);
+        Self { driver, clocks, pending: Vec::new(), effects }
     }
 
-    /// Begins a new episode: empties the slots and adds the vehicles that start at spawn places,
-    /// given as route and position of the centre \[m\]. `slots` are those of the agents and of the
+    /// Begins a new episode: empties the slots and lets vehicles depart. `places` are the vehicles
+    /// at spawn places, `None` for one that is not there. `slots` are those of the agents and of the
     /// background traffic.
     pub(super) fn spawn(
         &mut self,
         task: &Task,
         world: u32,
         seed: Seed,
-        places: &[(usize, f64)],
+        places: &[Option<Placed>],
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
@@ -104,17 +115,11 @@ impl Background {
             }
             *slot = Slot::default();
         }
-        for ((slot, i), &(route, s)) in others.iter_mut().zip(task.agents as u32..).zip(places) {
+        self.pending.clear();
+        for (slot, placed) in (task.agents..).zip(places) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
-            *slot = Slot { route, assigned: route, size, added: true, ..Slot::default() };
-            commands.push(Command::Add {
-                world,
-                slot: i,
-                route: route as u32,
-                vehicle_type,
-                depart_pos: task.map.routes[route].path.ahead(s, size[0] / 2.0),
-                depart_speed: 0.0,
-            });
+            let pending = placed.map(|placed| Pending { slot, placed, vehicle_type, size });
+            self.pending.extend(pending);
         }
         self.let_depart(task, world, 0.0, slots, commands);
     }
@@ -149,9 +154,10 @@ impl Background {
         self.let_depart(task, world, now, slots, commands);
     }
 
-    /// Lets the vehicles of the route files depart whose time has come, as long as slots are free;
-    /// the other vehicles wait. Those that have waited longest depart first, in steps for background
-    /// traffic and in seconds for agents, so that no flow gets every slot that becomes free.
+    /// Lets the vehicles depart whose time has come: those at spawn places, and those of the route
+    /// files as long as slots are free; the others wait. Those that have waited longest depart
+    /// first, in steps for background traffic and in seconds for agents, so that no flow gets every
+    /// slot that becomes free.
     fn let_depart(
         &mut self,
         task: &Task,
@@ -160,6 +166,13 @@ impl Background {
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
+        self.pending.retain(|pending| {
+            let due = pending.placed.time <= now + MARGIN;
+            if due {
+                pending.depart(task, world, &mut slots[pending.slot], commands);
+            }
+            !due
+        });
         let sources = &task.map.plan.sources;
         let interval = task.scenario.control.interval;
         let mut vacant = task.agents + task.placed;
@@ -334,6 +347,23 @@ impl Background {
     /// Returns the summary of the episode.
     pub(super) fn metrics(&self, task: &Task, slots: &[Slot]) -> BackgroundMetrics {
         self.effects.metrics(&task.map, slots)
+    }
+}
+
+impl Pending {
+    /// Fills the vehicle's slot and appends the command that puts it on the road.
+    fn depart(&self, task: &Task, world: u32, slot: &mut Slot, commands: &mut Vec<Command>) {
+        let Placed { route, pos, speed, .. } = self.placed;
+        let (size, vehicle_type) = (self.size, self.vehicle_type);
+        *slot = Slot { route, assigned: route, size, added: true, ..Slot::default() };
+        commands.push(Command::Add {
+            world,
+            slot: self.slot as u32,
+            route: route as u32,
+            vehicle_type,
+            depart_pos: task.map.routes[route].path.ahead(pos, size[0] / 2.0),
+            depart_speed: speed,
+        });
     }
 }
 

@@ -7,8 +7,6 @@ use super::task::Task;
 pub(crate) struct Departure {
     /// Time at which it is to depart, from the start of the episode \[s\].
     pub(crate) due: f64,
-    /// Step after which it was on the road.
-    pub(crate) step: u32,
     /// Position of the front, on the lanes of its route, at which SUMO may remove it \[m\].
     pub(crate) end: f64,
     /// What is added to SUMO's driven distance to get the position of the front on the route, as a

@@ -247,9 +247,11 @@ pub(super) fn place(
                 let (_, last) = lanes.locate(end * (1.0 - 1e-9));
                 let (front, ..) = lanes.nearest_of([body.x, body.y], 0..last + 1);
                 departure.origin = lanes.distance_of_arc(front) - vehicle.distance;
-                departure.step = step;
-                (slot.status, slot.speed) = (Status::Active, vehicle.speed);
+                slot.speed = vehicle.speed;
             }
+        }
+        if departs {
+            (slot.status, slot.entered) = (Status::Active, step);
         }
         slot.departed = true;
         if driver == Driver::Sumo {

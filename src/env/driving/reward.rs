@@ -53,7 +53,7 @@ impl Rewards {
         self.own.fill(0.0);
         for (i, slot) in agents.iter_mut().enumerate() {
             // An agent that has just departed has not acted yet.
-            if slot.status != Status::Active || slot.departure.is_some_and(|d| d.step == step) {
+            if slot.status != Status::Active || slot.entered == step {
                 continue;
             }
             let route = &task.map.routes[slot.route];

@@ -1,4 +1,5 @@
-//! The beginning of an episode: draws the agents' routes and positions.
+//! The beginning of an episode: draws which vehicles at spawn places are there, their routes,
+//! positions and departure times.
 
 use super::agents::{Slot, Status};
 use super::geometry::Pose;
@@ -9,72 +10,156 @@ use crate::rng::{self, Rng};
 use crate::sumo::Command;
 use crate::sumo::net::CARS;
 
-/// The vehicles with which an episode begins.
-pub(super) struct Spawned {
-    /// Number of agents, which occupy the first slots.
-    pub(super) active_agents: usize,
-    /// Background vehicles at spawn places: their routes and the positions of their centres along
-    /// them \[m\].
-    pub(super) others: Vec<(usize, f64)>,
+/// Half a millisecond \[s\]: SUMO's times are whole milliseconds, and sums of times are rounded.
+pub(super) const MARGIN: f64 = 5e-4;
+
+/// A vehicle that departs from a spawn place.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Placed {
+    pub(super) route: usize,
+    /// Position of the centre along the route \[m\].
+    pub(super) pos: f64,
+    /// Speed at the departure \[m/s\].
+    pub(super) speed: f64,
+    /// Time of the departure, from the start of the episode \[s\].
+    pub(super) time: f64,
+    /// Whether the vehicle starts with the episode, standing still, so that SUMO has room for it.
+    immediate: bool,
 }
 
-/// Fills the agents' slots for a new episode and appends the commands that replace the vehicles on
-/// the road.
-pub(super) fn spawn(
-    task: &Task,
-    driver: Driver,
-    world: u32,
-    rng: &mut Rng,
-    agents: &mut [Slot],
-    commands: &mut Vec<Command>,
-) -> Spawned {
-    let mut places: Vec<usize> = (0..task.places.len()).collect();
-    rng::shuffle(rng, &mut places);
-    let half = task.scenario.vehicle.length / 2.0;
-    let (vehicle_type, mode) =
-        if driver == Driver::Sumo { (SUMO_TYPE, SUMO_CHECKS) } else { (AGENT_TYPE, NO_CHECKS) };
-    // The number is drawn only if there is a choice, so that the other random numbers do not
-    // depend on this setting.
-    let choice = task.starting - task.fewest;
-    let active_agents = task.fewest + if choice > 0 { rng::below(rng, choice + 1) } else { 0 };
-    let mut taken = Vec::new();
-    let mut draw = |place: usize, rng: &mut Rng| {
-        let place = &task.places[places[place]];
-        let free = |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
-        let choice = place.routes.iter().filter(free).count();
-        let drawn = if choice > 1 { rng::below(rng, choice) } else { 0 };
-        // The scenario's check guarantees that a route is free.
-        let route = *place.routes.iter().filter(free).nth(drawn).unwrap_or(&place.routes[0]);
-        taken.extend(task.reserved[route]);
-        (route, place.pos + rng::symmetric(rng) * task.scenario.jitter.longitudinal)
-    };
-    for (i, slot) in agents.iter_mut().enumerate() {
-        let at = i as u32;
-        if slot.added {
-            commands.push(Command::Remove { world, slot: at });
+/// An agent that departs from a spawn place.
+#[derive(Debug, Clone, Copy)]
+struct Agent {
+    slot: usize,
+    placed: Placed,
+    /// Offset from the route's path, positive to the left \[m\].
+    lateral: f64,
+}
+
+/// The vehicles at spawn places of an episode.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Spawned {
+    /// Number of agents that are there in the episode. They have the first slots.
+    pub(super) active_agents: usize,
+    /// The background vehicles, by their places among those at spawn places; `None` for one that
+    /// is not there.
+    pub(super) others: Vec<Option<Placed>>,
+    /// Agents that have not departed yet.
+    pending: Vec<Agent>,
+}
+
+impl Spawned {
+    /// Draws the vehicles of a new episode.
+    pub(super) fn draw(task: &Task, rng: &mut Rng) -> Self {
+        let mut places: Vec<usize> = (0..task.places.len()).collect();
+        rng::shuffle(rng, &mut places);
+        // The number is drawn only if there is a choice, so that the other random numbers do not
+        // depend on this setting.
+        let choice = task.starting - task.fewest;
+        let drawn = task.fewest + if choice > 0 { rng::below(rng, choice + 1) } else { 0 };
+        let present = presence(task, &places, drawn, rng);
+        let mut taken = Vec::new();
+        let mut draw = |place: usize, rng: &mut Rng| {
+            let place = &task.places[places[place]];
+            let free =
+                |route: &&usize| task.reserved[**route].is_none_or(|end| !taken.contains(&end));
+            let choice = place.routes.iter().filter(free).count();
+            let drawn = if choice > 1 { rng::below(rng, choice) } else { 0 };
+            // The scenario's check guarantees that a route is free.
+            let route = *place.routes.iter().filter(free).nth(drawn).unwrap_or(&place.routes[0]);
+            taken.extend(task.reserved[route]);
+            let pos = place.pos + rng::symmetric(rng) * task.scenario.jitter.longitudinal;
+            let departure = place.departure;
+            let window = departure.end - departure.begin;
+            let later = if window > 0.0 { window * rng::uniform(rng) } else { 0.0 };
+            Placed {
+                route,
+                pos,
+                speed: departure.depart_speed,
+                time: departure.begin + later,
+                immediate: departure.is_immediate(),
+            }
+        };
+        let mut pending = Vec::new();
+        for place in (0..drawn).filter(|&i| present[i]) {
+            let placed = draw(place, rng);
+            let lateral = rng::symmetric(rng) * task.scenario.jitter.lateral;
+            pending.push(Agent { slot: pending.len(), placed, lateral });
         }
-        if i >= active_agents {
-            *slot = Slot::default();
-            continue;
-        }
-        let (route, place) = draw(i, rng);
-        let lateral = rng::symmetric(rng) * task.scenario.jitter.lateral;
+        let others = task.starting..task.starting + task.placed;
+        let others = others.map(|place| present[place].then(|| draw(place, rng))).collect();
+        Self { active_agents: pending.len(), others, pending }
+    }
+
+    /// Whether agents have yet to depart.
+    pub(super) fn expects_agents(&self) -> bool {
+        !self.pending.is_empty()
+    }
+
+    /// Lets the agents depart whose time has come, `now` seconds after the start of the episode:
+    /// fills their slots and appends the commands.
+    pub(super) fn let_depart(
+        &mut self,
+        task: &Task,
+        driver: Driver,
+        world: u32,
+        now: f64,
+        slots: &mut [Slot],
+        commands: &mut Vec<Command>,
+    ) {
+        self.pending.retain(|agent| {
+            let due = agent.placed.time <= now + MARGIN;
+            if due {
+                agent.depart(task, driver, world, &mut slots[agent.slot], commands);
+            }
+            !due
+        });
+    }
+}
+
+/// Returns for each of the `places`, in their order, whether a vehicle is there: the first `drawn`
+/// are agents, of which at least one is there.
+fn presence(task: &Task, places: &[usize], drawn: usize, rng: &mut Rng) -> Vec<bool> {
+    let certain = task.places.iter().all(|place| place.departure.presence >= 1.0);
+    let draw =
+        |&place: &usize| certain || rng::uniform(rng) < task.places[place].departure.presence;
+    let mut present: Vec<bool> = places.iter().map(draw).collect();
+    if drawn > 0 && !present[..drawn].contains(&true) {
+        present[rng::below(rng, drawn)] = true;
+    }
+    present
+}
+
+impl Agent {
+    /// Fills the agent's slot and appends the commands that put the vehicle on the road.
+    fn depart(
+        &self,
+        task: &Task,
+        driver: Driver,
+        world: u32,
+        slot: &mut Slot,
+        commands: &mut Vec<Command>,
+    ) {
+        let (at, Placed { route, pos, speed, immediate, .. }) = (self.slot as u32, self.placed);
+        let (vehicle_type, mode) =
+            if driver == Driver::Sumo { (SUMO_TYPE, SUMO_CHECKS) } else { (AGENT_TYPE, NO_CHECKS) };
         let path = &task.map.routes[route].path;
-        let s = path.arc(0, place).unwrap_or(place);
-        let front = path.ahead(place, half);
+        let s = path.arc(0, pos).unwrap_or(pos);
+        let front = path.ahead(pos, task.scenario.vehicle.length / 2.0);
         let (point, heading) = path.at(s);
-        let pose = Pose::beside(point, heading, lateral);
+        let pose = Pose::beside(point, heading, self.lateral);
         *slot = Slot {
-            status: Status::Active,
+            status: if immediate { Status::Active } else { Status::Empty },
             route,
             assigned: route,
             class: CARS,
             size: [task.scenario.vehicle.length, task.scenario.vehicle.width],
             pose,
             before: pose,
-            motion: Motion::at(pose),
+            motion: Motion::driving(pose, speed),
             s,
-            lateral,
+            speed,
+            lateral: self.lateral,
             held: Some(front),
             added: true,
             ..Slot::default()
@@ -85,15 +170,12 @@ pub(super) fn spawn(
             route: route as u32,
             vehicle_type,
             depart_pos: front,
-            depart_speed: 0.0,
+            depart_speed: speed,
         });
         commands.push(Command::SpeedMode { world, slot: at, mode });
         commands.extend(lane_change_mode(task, driver, world, at));
         if driver != Driver::Sumo {
-            commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+            commands.push(Command::SetSpeed { world, slot: at, speed });
         }
     }
-    let others =
-        (task.starting..task.starting + task.placed).map(|place| draw(place, rng)).collect();
-    Spawned { active_agents, others }
 }

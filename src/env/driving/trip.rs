@@ -16,6 +16,8 @@ pub(super) struct Trip {
     pub(super) loitered: bool,
     /// Number of red signals that the agent passed.
     pub(super) red_lights: u32,
+    /// Step after which the agent was first on the road.
+    pub(super) entered: u32,
     /// `None` for an agent that began at a spawn place.
     pub(super) departure: Option<Departure>,
 }
@@ -27,9 +29,10 @@ impl Trip {
             route: agent.assigned,
             outcome: agent.outcome,
             crash: agent.crash,
-            unfinished: agent.status == Status::Active,
+            unfinished: agent.status == Status::Active || agent.is_waiting(),
             loitered: loitering.is_long(),
             red_lights: agent.red_lights,
+            entered: agent.entered,
             departure: agent.departure,
         }
     }

@@ -66,11 +66,13 @@ impl Trips {
         self.ended.push(Trip { unfinished: false, ..Trip::of(slot, agent, loitering) });
     }
 
-    /// Returns all trips after `steps` steps, in the order of slots: those that have ended, and
-    /// those of the agents on the road.
+    /// Returns all trips after `steps` steps, in the order of slots: those that have ended, those of
+    /// the agents on the road, and those of agents from spawn places that still wait for room.
     fn all(&self, agents: &[Slot], loitering: &[Loitering]) -> Vec<Trip> {
         let driving = agents.iter().zip(loitering).enumerate();
-        let driving = driving.filter(|(_, (agent, _))| agent.status == Status::Active);
+        let driving = driving.filter(|(_, (agent, _))| {
+            agent.status == Status::Active || agent.is_waiting() && agent.departure.is_none()
+        });
         let driving = driving.map(|(slot, (agent, loitering))| Trip::of(slot, agent, loitering));
         let mut trips: Vec<Trip> = self.ended.iter().copied().chain(driving).collect();
         trips.sort_by_key(|trip| trip.slot);
@@ -112,12 +114,12 @@ impl Trips {
         let interval = task.scenario.control.interval;
         let trips = self.all(agents, loitering);
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
-        let departures = trips.iter().filter_map(|trip| trip.departure);
+        let departures = trips.iter().filter_map(|trip| Some((trip.entered, trip.departure?)));
         let arrived = trips.iter().filter(|trip| trip.outcome.arrived);
         let losses = arrived.clone().filter_map(|trip| trip.departure.map(|d| d.time_loss));
         // A vehicle that departs at once is on the road one step after its time.
         let waits = departures
-            .map(|departure| (f64::from(departure.step) - 1.0) * interval - departure.due);
+            .map(|(entered, departure)| (f64::from(entered) - 1.0) * interval - departure.due);
         FlowMetrics {
             hours: f64::from(steps) * interval / 3600.0,
             departed: trips.len() as u32,
@@ -134,9 +136,9 @@ impl Trip {
     /// Whether an agent on the road is late after `steps` steps. An agent that began at a spawn
     /// place is late wherever it is.
     fn is_late(&self, task: &Task, steps: u32) -> bool {
-        self.departure.is_none_or(|departure| {
-            let age = f64::from(steps - departure.step) * task.scenario.control.interval;
+        self.departure.is_none() || {
+            let age = f64::from(steps - self.entered) * task.scenario.control.interval;
             age > PATIENCE * task.map.free_time[self.route]
-        })
+        }
     }
 }

@@ -25,7 +25,7 @@ use super::motion;
 use super::reward::Rewards;
 use super::right_of_way::RightOfWay;
 use super::signals::Signals;
-use super::spawn::spawn;
+use super::spawn::Spawned;
 use super::task::{Driver, Task};
 use super::trips::Trips;
 use crate::rng::Seed;
@@ -42,6 +42,7 @@ pub struct World {
     intentions: Option<Intentions>,
     right_of_way: RightOfWay,
     signals: Signals,
+    spawned: Spawned,
     background: Background,
     collisions: Collisions,
     rewards: Rewards,
@@ -80,6 +81,7 @@ impl World {
                 slots,
             ),
             signals: Signals::new(&task.map.traffic_lights),
+            spawned: Spawned::default(),
             background: Background::new(&task, driver),
             collisions: Collisions::new(slots),
             rewards: Rewards::new(n),
@@ -246,6 +248,7 @@ impl World {
                 let (task, now) = (&self.task, self.now());
                 let slots = &mut self.traffic.slots;
                 motion::act(task, self.driver, world, actions, &mut slots[..task.agents], commands);
+                self.spawned.let_depart(task, self.driver, world, now, slots, commands);
                 if task.others > 0 {
                     self.background.act(task, world, now, slots, commands);
                 }
@@ -263,14 +266,20 @@ impl World {
         let (lights, interval) = (&task.map.traffic_lights, task.scenario.control.interval);
         Signals::begin(lights, interval, world, seed.child("signals"), commands);
         let (driver, slots) = (self.driver, &mut self.traffic.slots);
-        let agents = &mut slots[..task.agents];
-        let spawned = spawn(task, driver, world, &mut seed.rng(), agents, commands);
+        for (slot, i) in slots[..task.agents].iter_mut().zip(0..) {
+            if slot.added {
+                commands.push(Command::Remove { world, slot: i });
+            }
+            *slot = Slot::default();
+        }
+        self.spawned = Spawned::draw(task, &mut seed.rng());
+        self.spawned.let_depart(task, driver, world, 0.0, slots, commands);
         if task.others > 0 {
             let seed = seed.child("traffic");
-            self.background.spawn(task, world, seed, &spawned.others, slots, commands);
+            self.background.spawn(task, world, seed, &self.spawned.others, slots, commands);
         }
         // With agents from route files, rewards are per slot.
-        let shares = if task.has_flow() { task.agents } else { spawned.active_agents };
+        let shares = if task.has_flow() { task.agents } else { self.spawned.active_agents };
         self.rewards.begin(shares);
         self.trips.begin();
         self.collisions.begin();
@@ -352,7 +361,7 @@ impl World {
     fn welcome(&mut self) {
         let step = self.episode.step;
         for (i, slot) in self.traffic.slots[..self.task.agents].iter_mut().enumerate() {
-            if slot.departed && slot.departure.is_some_and(|departure| departure.step == step) {
+            if slot.departed && slot.entered == step {
                 self.frame.start[i] = 1.0;
                 Signals::enter(&self.task.map.traffic_lights, slot);
                 self.loitering[i] = Loitering::default();
@@ -363,11 +372,12 @@ impl World {
     }
 
     /// Whether the episode goes on although no agent acts: the horizon has not been reached, and
-    /// agents from route files are still to come.
+    /// agents are still to come.
     fn goes_on(&self) -> bool {
         let task = &self.task;
         self.episode.step < task.scenario.termination.horizon
             && (self.traffic.slots[..task.agents].iter().any(Slot::is_waiting)
+                || self.spawned.expects_agents()
                 || self.background.expects_agents(task))
     }
 

@@ -7,7 +7,8 @@ use std::sync::Arc;
 
 use super::super::reference;
 use super::super::{
-    AgentRange, Border, Net, ObservationGroups, Route, SCHEMA, Scenario, SpawnRow, Steering,
+    AgentRange, Border, Net, ObservationGroups, PlaceDeparture, Route, SCHEMA, Scenario, SpawnRow,
+    Steering,
 };
 use super::Error;
 use crate::markup::Writer;
@@ -164,6 +165,7 @@ impl Layout {
             first,
             spacing,
             count,
+            departure: PlaceDeparture::default(),
         };
         let spawns: Vec<SpawnRow> = rows.into_iter().map(spawn).collect();
         let longest_row = spawns.iter().map(|row| row.count).max().unwrap_or(1);

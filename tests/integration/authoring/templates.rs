@@ -122,8 +122,13 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
             for &route in &*place.routes {
                 let mut scenario = whole.clone();
                 scenario.routes = vec![whole.routes[route].clone()];
-                scenario.nets[0].spawns =
-                    vec![SpawnRow { routes: [0].into(), first: place.pos, spacing: 8.0, count: 1 }];
+                scenario.nets[0].spawns = vec![SpawnRow {
+                    routes: [0].into(),
+                    first: place.pos,
+                    spacing: 8.0,
+                    count: 1,
+                    departure: Default::default(),
+                }];
                 let task = Arc::new(Task::new(&scenario, 1).unwrap());
                 for speed in [2.0, 3.0, 4.0] {
                     let arrived = alone(&task, speed, 3);

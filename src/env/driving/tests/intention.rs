@@ -228,7 +228,7 @@ proptest! {
             // The straight routes of all arms, then the left turn of the west arm.
             let kept = [3, 6, 9, 0, 1];
             scenario.routes = kept.iter().map(|&route| scenario.routes[route].clone()).collect();
-            let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8 };
+            let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8, departure: Default::default() };
             scenario.nets[0].spawns = vec![row];
             Task::new(&scenario, VEHICLES as u32).expect("a task")
         };

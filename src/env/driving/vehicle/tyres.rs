@@ -109,7 +109,12 @@ impl Wheel {
 impl Motion {
     /// Returns the motion of a vehicle at rest.
     pub const fn at(pose: Pose) -> Self {
-        Self { pose, velocity: Vector2::new(0.0, 0.0), yaw_rate: 0.0 }
+        Self::driving(pose, 0.0)
+    }
+
+    /// Returns the motion of a vehicle that drives straight ahead at `speed` \[m/s\].
+    pub const fn driving(pose: Pose, speed: f64) -> Self {
+        Self { pose, velocity: Vector2::new(speed, 0.0), yaw_rate: 0.0 }
     }
 
     /// Returns the motion after one decision interval under the actions `steer` (positive to the
