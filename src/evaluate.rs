@@ -235,31 +235,16 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
-    use crate::env::{Audit, Failures};
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
         EpisodeRecord {
-            replayed: false,
             episode,
             episode_length: rewards.len() as u32,
             success: 1.0,
             safety: 1.0,
-            crash: 0.0,
-            out_of_road: 0.0,
-            reward: 0.0,
-            efficiency: 0.0,
-            sumo_collisions: 0,
-            own_collisions: 0,
             distance_km: 0.5,
-            crashes: 0,
-            loitering: 0.0,
-            red_lights: None,
-            audit: Audit::default(),
-            failures: Failures::default(),
-            flow: None,
-            others: None,
-            interrupted: false,
             step_rewards: rewards.to_vec(),
+            ..EpisodeRecord::default()
         }
     }
 

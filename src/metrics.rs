@@ -100,6 +100,13 @@ metrics! {
         out_of_road: Estimate = |e| e.rate(|r| r.out_of_road),
             "off-road", "agents off-road (%)", PERCENT, Lower, InEvaluations,
             "Share of agents that went off-road.";
+        unfinished: Estimate = |e| e.rate(|r| r.unfinished),
+            "unfinished", "agents that do not finish (%)", PERCENT, Lower, InEvaluations,
+            "Share of agents that had neither arrived nor failed at the end of the episode.";
+        delay: Option<Estimate> = |e| Estimate::t(&e.known(|r| r.delay)),
+            "delay", "delay of an agent that arrives (s)", SECONDS, Lower, InTables,
+            "Time that an agent that arrives takes longer than it would alone, at full throttle \
+             from its departure time; for agents from spawn places, mean over an episode's agents.";
         reward: Estimate = |e| e.mean(|r| r.reward),
             "reward", "reward per agent and episode", NUMBER, Higher, InEvaluations,
             "Reward per agent and episode.";
@@ -125,7 +132,7 @@ metrics! {
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
             "Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at \
              most 15 m from their finish and with nobody ahead.";
-        red_lights: Option<Estimate> = |e| e.red_lights(),
+        red_lights: Option<Estimate> = |e| Estimate::t(&e.known(|r| r.red_lights)),
             "red light violations", "red signals passed per agent", FINE_COUNT, Lower, InFigures,
             "Red signals that an agent passes, in tasks with signals.";
         km_per_crash: Option<KmPerCrash> = |e| e.km_per_crash(),
@@ -161,7 +168,7 @@ metrics! {
             "departures per hour", "agents that depart per hour", NUMBER, Higher, InEvaluations,
             "Agents from route files that departed, per hour.";
         delay: Option<Estimate> = |f| flow(f, |f| f.arrived > 0, |f| f.delay),
-            "delay", "time loss of an agent (s)", SECONDS, Lower, InFigures,
+            "time loss", "time loss of an agent (s)", SECONDS, Lower, InFigures,
             "Time that an agent that arrives loses against driving alone at the speed limits \
              (SUMO's time loss).";
         waiting: Option<Estimate> = |f| flow(f, |f| f.departed > 0, |f| f.waiting),
@@ -252,9 +259,9 @@ impl Episodes<'_> {
         mean(self.records, |_| true, of).unwrap_or_default()
     }
 
-    fn red_lights(&self) -> Option<Estimate> {
-        let signalised: Vec<f64> = self.records.iter().filter_map(|r| r.red_lights).collect();
-        Estimate::t(&signalised)
+    /// Returns a measurement of the episodes that have it.
+    fn known(&self, of: fn(&EpisodeRecord) -> Option<f64>) -> Vec<f64> {
+        self.records.iter().filter_map(of).collect()
     }
 
     fn km_per_crash(&self) -> Option<KmPerCrash> {

@@ -61,6 +61,9 @@ pub struct Recording {
     pub vehicle: Size,
     /// The lanes of the net.
     pub lanes: Vec<Lane>,
+    /// Polygons that block sight or radio, by their corners \[m\]; empty in tasks without them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub walls: Vec<Vec<[f64; 2]>>,
     /// Columns of numbers per step and agent, `[T, N]` each, by name.
     pub columns: BTreeMap<String, Column>,
     /// Base64 of `[T, N]` bytes: 0 absent, 1 driving, 2 arrived, 3 crashed.
@@ -323,6 +326,7 @@ mod tests {
                 crossing: false,
                 shape: vec![[0.0, 0.0], [9.0, 0.0]],
             }],
+            walls: vec![vec![[1.0, 3.0], [5.0, 3.0], [5.0, 6.0]]],
             columns: BTreeMap::from([
                 ("x".to_owned(), column([1.0, 400.0, 2.0, f64::NAN])),
                 ("y".to_owned(), column([0.0; 4])),

@@ -243,6 +243,7 @@ impl Recorder {
             communicates: self.rows.graph,
             vehicle: Size { length: vehicle.length, width: vehicle.width },
             lanes: lanes.collect(),
+            walls: task.map.walls.corners().map(<[_]>::to_vec).collect(),
             columns,
             status: STANDARD.encode(&self.rows.status),
             edges: Some(STANDARD.encode(&self.rows.edges)),

@@ -61,6 +61,9 @@ impl Recording {
                 lane.width
             );
         }
+        for wall in &self.walls {
+            let _ = writeln!(svg, "<path d=\"{}Z\" fill=\"#b9a78f\"/>", path(wall));
+        }
         for signal in &self.signals {
             let color = match signal.states.as_bytes()[step] {
                 b'r' | b'u' => "#cc2b2b",

@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use super::author::{State, state};
 use super::check::{Map, net_nodes};
 use super::reader::Reader;
-use super::{Demand, Finding, LeftOut, Net, Scenario, Severity, describe};
+use super::{Demand, Finding, LeftOut, Net, Occlusion, Scenario, Severity, describe};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
@@ -44,6 +44,7 @@ pub(super) fn advise(
     findings.extend(adviser.horizon(&sound));
     findings.extend(adviser.radio(&sound));
     findings.extend(adviser.sight());
+    findings.extend(scenario.occlusion.as_ref().and_then(Occlusion::others));
     findings.extend(adviser.reward());
     adviser.unused(&mut findings);
     adviser.without_effect(&sound, &mut findings);

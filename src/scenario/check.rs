@@ -43,6 +43,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         errors.push(error);
         Demand::default()
     });
+    errors.extend(walls(scenario, reader));
     let mut check = |(net, node): (&Net, Node)| {
         let map = net::Net::load(&net.file).map_err(|source| Error::Net {
             place: reader.place(node, "file"),
@@ -95,6 +96,16 @@ pub(super) fn net_nodes<'a, 'input>(reader: &Reader<'a, 'input>) -> Vec<Node<'a,
     let mut nodes: Vec<_> = reader.all("net").collect();
     nodes.sort_by_key(capacity);
     nodes
+}
+
+/// Returns the error of a file of polygons that cannot be used.
+fn walls(scenario: &Scenario, reader: &Reader) -> Option<Error> {
+    let occlusion = scenario.occlusion.as_ref()?;
+    let error = occlusion.polygons().err()?;
+    let Error::Read { path, source } = error else { return Some(error) };
+    let (path, place) = (path.to_string_lossy(), reader.place_in("occlusion", "file"));
+    let allowed = format!("an additional file that can be read ({source})");
+    Some(Error::value(place, "occlusion", "file", &path, allowed))
 }
 
 /// Returns the contents of the route files of `<traffic>`.

@@ -9,13 +9,14 @@ use crate::markup;
 
 impl Scenario {
     /// Returns a hash, in hexadecimal, of the elements, attributes and texts in the scenario file
-    /// and in the net and route files that it names. Comments, white space and the locations of the
+    /// and in the net, route and additional files that it names. Comments, white space and the locations of the
     /// files do not count. A file that cannot be read or is not XML contributes only this fact.
     pub fn fingerprint(&self) -> String {
         let nets = self.nets.iter().map(|net| net.file.as_path());
         let files = std::iter::once(self.path.as_path())
             .chain(nets)
-            .chain(self.traffic.files.iter().map(AsRef::as_ref));
+            .chain(self.traffic.files.iter().map(AsRef::as_ref))
+            .chain(self.occlusion.iter().map(|occlusion| occlusion.file.as_path()));
         let mut hash = Fnv::new();
         for file in files {
             hash.file(file);

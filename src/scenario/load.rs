@@ -9,8 +9,8 @@ use super::attribute::Field;
 use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
     AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange,
-    Net, Observation, PlaceDeparture, Reward, Route, Scenario, SpawnRow, Termination, Traffic,
-    Vehicle, check,
+    Net, Observation, Occlusion, PlaceDeparture, Reward, Route, Scenario, SpawnRow, Termination,
+    Traffic, Vehicle, check,
 };
 use crate::sumo::net::{CARS, NetError, did_you_mean, nearest, shorten};
 
@@ -148,6 +148,7 @@ impl Reader<'_, '_> {
             nets,
             termination: part::<Termination>(root, "termination")?,
             communication: part::<Communication>(root, "communication")?,
+            occlusion: occlusion(root)?,
             traffic: traffic(root)?,
         })
     }
@@ -343,6 +344,20 @@ fn observation(root: &Element) -> Result<Observation, Error> {
     Ok(observation)
 }
 
+fn occlusion(root: &Element) -> Result<Option<Occlusion>, Error> {
+    let Some(element) = root.child("occlusion") else { return Ok(None) };
+    let mut occlusion = Occlusion::read(&element, "")?;
+    let folder = root.reader.path.parent().unwrap_or(Path::new(""));
+    occlusion.file = folder.join(&occlusion.file);
+    let observes = require(root, "observation")?;
+    let priority: f64 = Field::read(&observes, "priorityDistance")?;
+    if occlusion.sight && priority > 0.0 {
+        let allowed = "0 in a scenario whose <occlusion> blocks sight: priorities depend on vehicles that the agent does not see";
+        return Err(observes.reader.value(observes.node, "priorityDistance", allowed));
+    }
+    Ok(Some(occlusion))
+}
+
 fn traffic(root: &Element) -> Result<Traffic, Error> {
     let Some(element) = root.child("traffic") else { return Ok(Traffic::default()) };
     let mut traffic = Traffic::read(&element, "")?;
@@ -381,6 +396,7 @@ mod tests {
             "reward" => names::<Reward>(&[]),
             "termination" => names::<Termination>(&[]),
             "communication" => names::<Communication>(&[]),
+            "occlusion" => names::<Occlusion>(&[]),
             "traffic" => names::<Traffic>(&[]),
             _ => Vec::new(),
         };

@@ -14,6 +14,7 @@ mod fingerprint;
 mod load;
 mod model;
 mod observation;
+mod occlusion;
 mod overrides;
 mod reader;
 mod reference;
@@ -32,6 +33,7 @@ pub use model::{
     Reward, Route, Scenario, SpawnPlace, SpawnRow, Steering, Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
+pub use occlusion::{Occlusion, Polygon};
 pub use overrides::{Overridable, Override, Refused, ScenarioFile, cannot_override, overridable};
 pub use reference::markdown;
 pub use schema::{Attribute, Element, Kind, SCHEMA, describe};

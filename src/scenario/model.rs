@@ -7,7 +7,7 @@ use super::attribute::{Field, Tag, Value, element, words};
 use super::demand::seconds;
 use super::observation::Observation;
 use super::reader::Element;
-use super::{Demand, Error, Source};
+use super::{Demand, Error, Occlusion, Source};
 
 /// A task: its nets, routes, vehicle, control, observation, reward and background traffic.
 #[derive(Debug, Clone, PartialEq)]
@@ -38,6 +38,8 @@ pub struct Scenario {
     pub termination: Termination,
     /// Communication between agents.
     pub communication: Communication,
+    /// Polygons that block sight and radio; `None`: nothing does.
+    pub occlusion: Option<Occlusion>,
     /// Background traffic: vehicles and pedestrians that SUMO moves.
     pub traffic: Traffic,
 }

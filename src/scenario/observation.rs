@@ -67,6 +67,15 @@ element! {
         pub groups: ObservationGroups,
         /// Distance beyond which an agent does not observe other vehicles \[m\].
         pub detection_range: f64,
+        /// Distance that far features show as 1 \[m\]; those of near gaps show three tenths of it
+        /// as 1, those of the agent's own route twice as much.
+        pub distance_scale: f64,
+        /// Whether an agent observes its compass heading.
+        pub heading: bool,
+        /// Whether an agent observes the time since the start of the episode.
+        pub clock: bool,
+        /// Whether an agent observes whether its own route turns left or right at the next junction.
+        pub own_turn: bool,
         /// Number of nearest vehicles, which are described one by one.
         pub neighbours: usize,
         /// Order of the nearest vehicles.

@@ -4,7 +4,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::attribute::{Field, Tag};
 use super::schema::describe;
-use super::{Jitter, Scenario, Traffic};
+use super::{Jitter, Occlusion, Scenario, Traffic};
 use crate::markup::Writer;
 
 impl Scenario {
@@ -56,6 +56,10 @@ impl Scenario {
         root.fields("reward", &self.reward);
         root.fields("termination", &self.termination);
         root.fields("communication", &self.communication);
+        if let Some(occlusion) = &self.occlusion {
+            let file = relative(&occlusion.file);
+            root.fields("occlusion", &Occlusion { file, ..occlusion.clone() });
+        }
         let mut traffic = self.traffic.clone();
         traffic.files.iter_mut().for_each(|file| *file = relative(file));
         if traffic != Traffic::default() {
@@ -72,7 +76,8 @@ impl Scenario {
         let folder = folder.canonicalize()?;
         let mut moved = Self { path: PathBuf::new(), ..self.clone() };
         let nets = moved.nets.iter_mut().map(|net| &mut net.file);
-        for file in nets.chain(&mut moved.traffic.files) {
+        let walls = moved.occlusion.iter_mut().map(|occlusion| &mut occlusion.file);
+        for file in nets.chain(&mut moved.traffic.files).chain(walls) {
             *file = relative(&folder, &file.canonicalize()?);
         }
         Ok(moved.to_xml())

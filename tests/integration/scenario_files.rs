@@ -19,8 +19,8 @@ use iwol_sumo::{
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange,
-        Lidar, NeighbourOrder, Net, Observation, ObservationGroups, Reward, Route, Scenario,
-        Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
+        Lidar, NeighbourOrder, Net, Observation, ObservationGroups, Occlusion, PlaceDeparture,
+        Reward, Route, Scenario, Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
     },
     sumo::{
         Hosting,
@@ -383,7 +383,7 @@ prop_compose! {
     ) -> Vec<Net> {
         let mut nets: Vec<Net> = rows.into_iter().map(|(file, rows)| Net {
             file: Path::new("some/folder").join(format!("../a&<\"'> {file}.net.xml")),
-            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { routes: [route].into(), first, spacing, count, departure: Default::default() }).collect(),
+            spawns: rows.into_iter().map(|(route, first, spacing, count)| SpawnRow { routes: [route].into(), first, spacing, count, departure: PlaceDeparture { presence: f64::from(count).recip(), begin: first, end: first + spacing, depart_speed: spacing } }).collect(),
         }).collect();
         nets.sort_by_key(Net::capacity);
         nets
@@ -439,6 +439,7 @@ prop_compose! {
             },
             observation: Observation {
                 groups: ObservationGroups::NAMES[counts[0] % 3].1, detection_range: p[7], neighbours: counts[0],
+                distance_scale: p[6], heading: counts[0] % 2 == 0, clock: counts[1] % 2 == 0, own_turn: counts[2] % 2 == 1,
                 neighbour_order: NeighbourOrder::NAMES[counts[2] % 2].1,
                 intention: Intention::NAMES[counts[1] % 3].1,
                 signal_distance: if counts[1] % 3 == 1 { 1.0 + f64::from(counts[2] as u32) } else { 30.0 },
@@ -457,6 +458,11 @@ prop_compose! {
                 broken_lines: ["a", "b_1"].iter().take(counts[2] % 3).map(|&edge| edge.into()).collect(),
             },
             communication: Communication { range: p[9] },
+            occlusion: (counts[1] > 4).then(|| Occlusion {
+                file: "some/folder/walls.add.xml".into(),
+                types: ["building", "wall"].iter().take(counts[0] % 3).map(|&kind| kind.into()).collect(),
+                sight: counts[0] % 2 == 1, radio: counts[2] % 2 == 0,
+            }),
             traffic: Traffic {
                 penetration: share.max(0.01),
                 kind: (counts[0] > 8).then(|| "some type".into()),

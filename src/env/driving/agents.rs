@@ -11,6 +11,7 @@ use nalgebra::Vector2;
 
 use super::departure::Departure;
 use super::geometry::{Pose, Size, Stance};
+use super::occlusion::Walls;
 use super::vehicle::tyres::Motion;
 use crate::sumo::net::Aspect;
 
@@ -80,6 +81,9 @@ pub(crate) struct Slot {
     pub(crate) departed: bool,
     /// Step after which the agent was first on the road; 0 for one that starts with the episode.
     pub(crate) entered: u32,
+    /// Step in which an agent from a spawn place would arrive if it departed in time and nobody else
+    /// were there, at full throttle.
+    pub(crate) alone_arrival: u32,
     /// How an agent from a route file departed; `None` for all other vehicles.
     pub(crate) departure: Option<Departure>,
     /// Steps for which a wreck remains.
@@ -191,6 +195,9 @@ pub(crate) struct Traffic {
     pub(crate) by_route: Vec<Vec<usize>>,
     /// Distances between the centres of all slots' vehicles, `[slots, slots]` \[m\].
     distances: Vec<f64>,
+    /// Whether a polygon lies between two slots' vehicles, `[slots, slots]`; empty in scenarios
+    /// without polygons.
+    blocked: Vec<bool>,
     /// Place and direction of each slot's vehicle.
     stances: Vec<Stance>,
     /// The last priority number that was assigned.
@@ -204,6 +211,7 @@ impl Traffic {
             slots: vec![Slot::default(); slots],
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],
+            blocked: Vec::new(),
             stances: vec![Stance::identity(); slots],
             last_priority: 0,
         }
@@ -212,6 +220,11 @@ impl Traffic {
     /// Returns the distance between the centres of two slots' vehicles \[m\].
     pub(crate) fn distance(&self, i: usize, j: usize) -> f64 {
         self.distances[i * self.slots.len() + j]
+    }
+
+    /// Returns whether a polygon lies between two slots' vehicles.
+    pub(crate) fn is_blocked(&self, i: usize, j: usize) -> bool {
+        !self.blocked.is_empty() && self.blocked[i * self.slots.len() + j]
     }
 
     /// Returns the place and direction of a slot's vehicle.
@@ -239,6 +252,23 @@ impl Traffic {
     pub(crate) fn driven_by_agents(&self, agents: usize) -> f64 {
         let active = self.slots[..agents].iter().filter(|slot| slot.status == Status::Active);
         active.map(|slot| slot.pose.distance(&slot.before)).sum()
+    }
+
+    /// Recomputes between which vehicles polygons lie.
+    pub(crate) fn look_around(&mut self, walls: &Walls) {
+        let n = self.slots.len();
+        self.blocked.resize(n * n, false);
+        self.blocked.fill(false);
+        let present = |slot: &Slot| slot.status != Status::Empty;
+        for i in (0..n).filter(|&i| present(&self.slots[i])) {
+            for j in (0..i).filter(|&j| present(&self.slots[j])) {
+                let [a, b] = [i, j].map(|slot| self.slots[slot].pose.point());
+                if walls.block(a, b) {
+                    self.blocked[i * n + j] = true;
+                    self.blocked[j * n + i] = true;
+                }
+            }
+        }
     }
 
     /// Recomputes queues, distances and directions from the slots' poses.

@@ -15,7 +15,9 @@ pub struct Frame {
     pub observation: Vec<f32>,
     /// Privileged states, `[N, S]`; zeros where no agent is present.
     pub state: Vec<f32>,
-    /// Physical mask G_p, `[N, N]`. Its diagonal is 1 for the agents that are present.
+    /// Physical mask G_p, `[N, N]`: 1 where two agents are within the communication range and, if
+    /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that are
+    /// present.
     pub comm: Vec<f32>,
     /// `[N]`, 1 where an agent acts in the coming step.
     pub active: Vec<f32>,

@@ -1,6 +1,6 @@
 //! Layouts of feature vectors: which feature groups of a list a scenario has, and where they lie.
 
-use super::observation::{FeatureGroup, View, Writer};
+use super::observation::{FeatureGroup, Scales, View, Writer};
 use crate::env::spec::Features;
 use crate::scenario::Scenario;
 
@@ -21,7 +21,12 @@ impl Layout {
             features.len() - before
         };
         let groups = groups.iter().map(|group| (group, width(group)));
-        (Self { groups: groups.filter(|(_, width)| *width > 0).collect() }, features)
+        let layout = Self { groups: groups.filter(|(_, width)| *width > 0).collect() };
+        let scales = Scales::of(scenario);
+        for feature in &mut features.list {
+            feature.unit = scales.unit(&feature.unit);
+        }
+        (layout, features)
     }
 
     /// Writes the features of an agent to `out`.

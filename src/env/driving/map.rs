@@ -13,10 +13,11 @@ use super::forks::Forks;
 use super::geometry::Size;
 use super::lane_routes::LaneRoutes;
 use super::levels::Levels;
+use super::occlusion::Walls;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::signals::TrafficLights;
-use crate::scenario::{Demand, DemandPlan, LaneChange, Scenario};
+use crate::scenario::{Demand, DemandPlan, LaneChange, Occlusion, Scenario};
 use crate::sumo::net::{EdgeFunction, Foes, Net, Path};
 
 /// A part of a route that lies in a junction.
@@ -85,6 +86,8 @@ pub struct Map {
     /// Whether some route has edges with several lanes, so that SUMO could change the lane of a
     /// vehicle on it.
     pub(super) several_lanes: bool,
+    /// Polygons that block sight and radio; none, if the scenario has none.
+    pub(crate) walls: Walls,
     /// The road surface, if agents steer, have a lidar or observe the road's borders.
     road: Option<Road>,
     net_file: PathBuf,
@@ -159,7 +162,9 @@ impl Map {
             || scenario.observation.lidar.beams > 0
             || scenario.observation.borders > 0.0;
         let road = road_is_needed.then(|| Road::new(&net, size, &scenario.termination));
+        let polygons = scenario.occlusion.as_ref().map(Occlusion::polygons).transpose()?;
         Ok(Self {
+            walls: Walls::new(polygons.unwrap_or_default()),
             foes: net.foes.clone(),
             traffic_lights: TrafficLights::new(&net, &lanes, &routes),
             forks: Forks::new(&net, &routes),

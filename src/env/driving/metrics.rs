@@ -23,6 +23,13 @@ pub struct EpisodeRecord {
     pub crash: f64,
     /// Share of agents that went off-road.
     pub out_of_road: f64,
+    /// Share of agents that neither arrived nor failed; 0 in files of older versions.
+    #[serde(default)]
+    pub unfinished: f64,
+    /// Time that an agent took longer than it would alone, at full throttle from its departure time,
+    /// mean over the agents from spawn places that arrived \[s\]; `None` if none did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delay: Option<f64>,
     /// Sum of the agents' own rewards over the episode, mean over agents.
     pub reward: f64,
     /// (success − danger) · N / steps, in agents per step; danger is the share of agents that

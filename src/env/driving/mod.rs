@@ -26,6 +26,7 @@ mod map;
 mod metrics;
 mod motion;
 mod observation;
+mod occlusion;
 mod order;
 mod refusals;
 mod reward;

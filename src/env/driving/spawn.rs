@@ -5,6 +5,7 @@ use super::agents::{Slot, Status};
 use super::geometry::Pose;
 use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
 use super::task::{AGENT_TYPE, Driver, SUMO_TYPE, Task};
+use super::vehicle::longitudinal;
 use super::vehicle::tyres::Motion;
 use crate::rng::{self, Rng};
 use crate::sumo::Command;
@@ -131,6 +132,22 @@ fn presence(task: &Task, places: &[usize], drawn: usize, rng: &mut Rng) -> Vec<b
 }
 
 impl Agent {
+    /// Returns the step in which the agent would arrive if nobody else were there, at full throttle.
+    fn alone_arrival(&self, task: &Task) -> u32 {
+        let Placed { route, pos, mut speed, time, immediate } = self.placed;
+        let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
+        // A vehicle that departs later is on the road one step after its time.
+        let entered =
+            if immediate { 0 } else { ((time - MARGIN) / control.interval).ceil() as u32 + 1 };
+        let route = &task.map.routes[route];
+        let (mut s, mut steps) = (route.path.arc(0, pos).unwrap_or(pos), 0);
+        while s < route.arrival && steps < task.scenario.termination.horizon {
+            let (distance, faster) = longitudinal::advance(control, vehicle, speed, 1.0);
+            (s, speed, steps) = (s + distance, faster, steps + 1);
+        }
+        entered + steps
+    }
+
     /// Fills the agent's slot and appends the commands that put the vehicle on the road.
     fn depart(
         &self,
@@ -159,6 +176,7 @@ impl Agent {
             motion: Motion::driving(pose, speed),
             s,
             speed,
+            alone_arrival: self.alone_arrival(task),
             lateral: self.lateral,
             held: Some(front),
             added: true,

@@ -30,11 +30,11 @@ const OWN: [Described; 8] = [
     ("heading_sin", "1", -1.0, 1.0),
     ("speed", "22.2 m/s", 0.0, 1.0),
     ("last_action", "1", -1.0, 1.0),
-    ("to_arrival", "100 m", -1.0, 1.0),
+    ("to_arrival", "{long} m", -1.0, 1.0),
     ("time_left", "share of the horizon", 0.0, 1.0),
 ];
 const VEHICLE: [Described; 5] = [
-    ("distance", "50 m", -1.0, 1.0),
+    ("distance", "{far} m", -1.0, 1.0),
     ("speed", "22.2 m/s", 0.0, 1.0),
     ("last_action", "1", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
@@ -98,7 +98,7 @@ fn write_own(view: &View<'_>, w: &mut Writer<'_>) {
         sin,
         own.speed.max(0.0) / SPEED,
         own.action,
-        (view.route().arrival - own.s) / 100.0,
+        (view.route().arrival - own.s) / view.scales().long,
         view.time_left,
     ]);
 }
@@ -161,7 +161,7 @@ fn put_vehicles(
     let vehicle = |(distance, j): (f64, usize)| {
         let other = &view.traffic.slots[j];
         let speed = other.speed.max(0.0) / SPEED;
-        [distance / 50.0, speed, other.action, moving(other.status), 1.0]
+        [distance / view.scales().far, speed, other.action, moving(other.status), 1.0]
     };
     w.tokens(&VEHICLE, count, vehicles.map(vehicle));
 }

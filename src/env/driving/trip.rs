@@ -14,6 +14,8 @@ pub(super) struct Trip {
     /// Whether the agent had neither arrived nor failed.
     pub(super) unfinished: bool,
     pub(super) loitered: bool,
+    /// Steps that the agent took longer than alone; `None` if it did not arrive.
+    pub(super) delay: Option<u32>,
     /// Number of red signals that the agent passed.
     pub(super) red_lights: u32,
     /// Step after which the agent was first on the road.
@@ -23,8 +25,11 @@ pub(super) struct Trip {
 }
 
 impl Trip {
-    pub(super) fn of(slot: usize, agent: &Slot, loitering: &Loitering) -> Self {
+    /// Returns the trip of the agent in a slot after step number `step`.
+    pub(super) fn of(slot: usize, agent: &Slot, loitering: &Loitering, step: u32) -> Self {
+        let late = step.saturating_sub(agent.alone_arrival);
         Self {
+            delay: (agent.outcome.arrived && agent.departure.is_none()).then_some(late),
             slot,
             route: agent.assigned,
             outcome: agent.outcome,

@@ -28,6 +28,11 @@ pub(super) struct Counts {
     pub(super) out_of_road: f64,
     /// Agents that crashed or went off-road.
     pub(super) failed: f64,
+    /// Agents that neither arrived nor failed.
+    pub(super) unfinished: f64,
+    /// Time that an agent took longer than alone, mean over the agents from spawn places that
+    /// arrived \[s\]; `None` if none did.
+    pub(super) delay: Option<f64>,
     pub(super) loitered: f64,
     /// Number of red signals that agents passed.
     pub(super) red_lights: f64,
@@ -61,19 +66,20 @@ impl Trips {
         self.ended.clear();
     }
 
-    /// Stores the trip of the agent in a slot, which has ended.
-    pub(super) fn end(&mut self, slot: usize, agent: &Slot, loitering: &Loitering) {
-        self.ended.push(Trip { unfinished: false, ..Trip::of(slot, agent, loitering) });
+    /// Stores the trip of the agent in a slot, which has ended in step number `step`.
+    pub(super) fn end(&mut self, slot: usize, agent: &Slot, loitering: &Loitering, step: u32) {
+        self.ended.push(Trip { unfinished: false, ..Trip::of(slot, agent, loitering, step) });
     }
 
     /// Returns all trips after `steps` steps, in the order of slots: those that have ended, those of
     /// the agents on the road, and those of agents from spawn places that still wait for room.
-    fn all(&self, agents: &[Slot], loitering: &[Loitering]) -> Vec<Trip> {
+    fn all(&self, steps: u32, agents: &[Slot], loitering: &[Loitering]) -> Vec<Trip> {
         let driving = agents.iter().zip(loitering).enumerate();
         let driving = driving.filter(|(_, (agent, _))| {
             agent.status == Status::Active || agent.is_waiting() && agent.departure.is_none()
         });
-        let driving = driving.map(|(slot, (agent, loitering))| Trip::of(slot, agent, loitering));
+        let driving =
+            driving.map(|(slot, (agent, loitering))| Trip::of(slot, agent, loitering, steps));
         let mut trips: Vec<Trip> = self.ended.iter().copied().chain(driving).collect();
         trips.sort_by_key(|trip| trip.slot);
         trips
@@ -87,10 +93,15 @@ impl Trips {
         agents: &[Slot],
         loitering: &[Loitering],
     ) -> Counts {
-        let mut trips = self.all(agents, loitering);
+        let mut trips = self.all(steps, agents, loitering);
         trips.retain(|trip| !trip.unfinished || trip.is_late(task, steps));
         let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
+        let delays: Vec<f64> = trips.iter().filter_map(|trip| trip.delay.map(f64::from)).collect();
+        let interval = task.scenario.control.interval;
+        let mean = |steps: &[f64]| interval * steps.iter().sum::<f64>() / steps.len() as f64;
         Counts {
+            unfinished: count(|trip| trip.unfinished),
+            delay: (!delays.is_empty()).then(|| mean(&delays)),
             count: count(|_| true).max(1.0),
             arrived: count(|trip| trip.outcome.arrived),
             crashed: count(|trip| trip.outcome.crashed),
@@ -112,7 +123,7 @@ impl Trips {
         queued: u32,
     ) -> FlowMetrics {
         let interval = task.scenario.control.interval;
-        let trips = self.all(agents, loitering);
+        let trips = self.all(steps, agents, loitering);
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
         let departures = trips.iter().filter_map(|trip| Some((trip.entered, trip.departure?)));
         let arrived = trips.iter().filter(|trip| trip.outcome.arrived);

@@ -403,7 +403,7 @@ impl World {
         );
         for (i, loitering) in self.loitering.iter().enumerate() {
             if self.frame.terminated[i] > 0.0 {
-                self.trips.end(i, &self.traffic.slots[i], loitering);
+                self.trips.end(i, &self.traffic.slots[i], loitering, self.episode.step);
             }
         }
         self.background.meet_agents(task, now, &self.collisions, &mut self.traffic.slots);
@@ -413,6 +413,9 @@ impl World {
     fn relate(&mut self) {
         let (task, map) = (&self.task, &self.task.map);
         self.traffic.refresh();
+        if task.scenario.occlusion.is_some() {
+            self.traffic.look_around(&map.walls);
+        }
         if let Some(intentions) = &mut self.intentions {
             intentions.update(map, &self.traffic, task.steers(self.driver));
         }

@@ -1,34 +1,57 @@
-//! The agent's own speed, heading and place on its route.
+//! The agent's own speed, heading and place on its route, and what else it knows of itself.
 
-use super::group::{FAR, FeatureGroup, NEAR, SPEED};
+use super::group::{FeatureGroup, SPEED, View, Writer};
+use crate::env::driving::forks::Indicator;
 use crate::env::spec::Described;
 
-const FEATURES: [Described; 8] = [
-    ("speed", "22.2 m/s", 0.0, 1.0),
-    ("last_action", "1", -1.0, 1.0),
-    ("heading_cos", "1", -1.0, 1.0),
-    ("heading_sin", "1", -1.0, 1.0),
-    ("to_conflict_far", "50 m", -1.0, 1.0),
-    ("to_conflict_near", "15 m", -1.0, 1.0),
-    ("to_arrival", "100 m", -1.0, 1.0),
+const MOTION: [Described; 2] = [("speed", "22.2 m/s", 0.0, 1.0), ("last_action", "1", -1.0, 1.0)];
+/// In scenarios in which agents know their compass heading.
+const HEADING: [Described; 2] = [("heading_cos", "1", -1.0, 1.0), ("heading_sin", "1", -1.0, 1.0)];
+const PLACE: [Described; 4] = [
+    ("to_conflict_far", "{far} m", -1.0, 1.0),
+    ("to_conflict_near", "{near} m", -1.0, 1.0),
+    ("to_arrival", "{long} m", -1.0, 1.0),
     ("lateral", "1.75 m, positive left", -1.0, 1.0),
 ];
+/// In scenarios in which agents know the time.
+const CLOCK: [Described; 1] = [("time", "share of the horizon that has passed", 0.0, 1.0)];
+/// In scenarios in which agents observe where their own route goes.
+const TURN: [Described; 2] =
+    [("turns_left", "flag: at the next junction", 0.0, 1.0), ("turns_right", "flag", 0.0, 1.0)];
 
 pub const GROUP: FeatureGroup = FeatureGroup {
-    describe: |_, features| features.push("ego", 1, &FEATURES),
-    write: |view, w| {
-        let (own, route) = (view.own(), view.route());
-        let (sin, cos) = own.pose.heading.sin_cos();
-        let to_conflict = route.to_first_conflict(own.s);
-        w.put([
-            own.speed.max(0.0) / SPEED,
-            own.action,
-            cos,
-            sin,
-            to_conflict / FAR,
-            to_conflict / NEAR,
-            (route.arrival - own.s) / 100.0,
-            own.lateral / 1.75,
-        ]);
+    describe: |scenario, features| {
+        let settings = &scenario.observation;
+        let part = |shown: bool, part: &'static [Described]| if shown { part } else { &[] };
+        let heading = part(settings.heading, &HEADING);
+        let clock = part(settings.clock, &CLOCK);
+        let turn = part(settings.own_turn, &TURN);
+        features.push("ego", 1, &[&MOTION, heading, &PLACE, clock, turn].concat());
     },
+    write,
 };
+
+fn write(view: &View<'_>, w: &mut Writer<'_>) {
+    let (own, route, scales) = (view.own(), view.route(), view.scales());
+    let settings = &view.scenario.observation;
+    w.put([own.speed.max(0.0) / SPEED, own.action]);
+    if settings.heading {
+        let (sin, cos) = own.pose.heading.sin_cos();
+        w.put([cos, sin]);
+    }
+    let to_conflict = route.to_first_conflict(own.s);
+    w.put([
+        to_conflict / scales.far,
+        to_conflict / scales.near,
+        (route.arrival - own.s) / scales.long,
+        own.lateral / 1.75,
+    ]);
+    if settings.clock {
+        w.put([1.0 - view.time_left]);
+    }
+    if settings.own_turn {
+        let mut passages = view.map.forks.passages[own.route].iter();
+        let next = passages.find(|passage| passage.to >= own.s).map(|passage| passage.indicator);
+        w.put([Indicator::Left, Indicator::Right].map(|turn| f64::from(next == Some(turn))));
+    }
+}

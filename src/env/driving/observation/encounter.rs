@@ -1,7 +1,7 @@
 //! The vehicles that are ahead of the agent or whose routes cross or merge with its own, soonest
 //! first.
 
-use super::group::{FAR, FeatureGroup, NEAR, SPEED, View, Writer, moving};
+use super::group::{FeatureGroup, SPEED, View, Writer, moving};
 use crate::env::driving::agents::{CLEARED, Candidate, Slot, Status};
 use crate::env::driving::foresight::{Course, DRIVING};
 use crate::env::driving::routes::RouteGeometry;
@@ -11,10 +11,10 @@ use crate::scenario::Observation;
 /// Features of an encounter; `own_*` and `other_*` are distances to the conflict point.
 const ENCOUNTER: [Described; 8] = [
     ("ahead", "flag: ahead on the agent's path, own_* is the gap", 0.0, 1.0),
-    ("own_far", "50 m", -1.0, 1.0),
-    ("own_near", "15 m", -1.0, 1.0),
-    ("other_far", "50 m", -1.0, 1.0),
-    ("other_near", "15 m", -1.0, 1.0),
+    ("own_far", "{far} m", -1.0, 1.0),
+    ("own_near", "{near} m", -1.0, 1.0),
+    ("other_far", "{far} m", -1.0, 1.0),
+    ("other_near", "{near} m", -1.0, 1.0),
     ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("heading_cos", "1, to the agent's", -1.0, 1.0),
     ("heading_sin", "1, left of the agent's", -1.0, 1.0),
@@ -115,7 +115,7 @@ impl Encounters {
     /// agent's path is flagged, and its distance is the gap. Of a vehicle's candidate routes the one
     /// with the nearest encounter counts; foresight uses the one with the closest passing.
     pub fn write(self, view: &View<'_>, seen: impl Fn(usize) -> bool, w: &mut Writer<'_>) {
-        let (own, slots) = (view.own(), &view.traffic.slots);
+        let (own, slots, scales) = (view.own(), &view.traffic.slots, view.scales());
         let mut soonest: [Option<(Encounter, usize)>; MOST] = [None; MOST];
         let soonest = &mut soonest[..self.count];
         for (j, other) in slots.iter().enumerate() {
@@ -144,10 +144,10 @@ impl Encounters {
             let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
             w.put([
                 f64::from(u8::from(met.ahead)),
-                met.own / FAR,
-                met.own / NEAR,
-                met.other / FAR,
-                met.other / NEAR,
+                met.own / scales.far,
+                met.own / scales.near,
+                met.other / scales.far,
+                met.other / scales.near,
                 other.speed / SPEED,
                 cos,
                 sin,

@@ -7,14 +7,39 @@ use crate::env::driving::routes::RouteGeometry;
 use crate::env::spec::{Described, Features};
 use crate::scenario::Scenario;
 
-/// Distance scale of far features \[m\].
-pub const FAR: f64 = 50.0;
-/// Distance scale of near features \[m\].
-pub const NEAR: f64 = 15.0;
 /// Speed scale \[m/s\].
 pub const SPEED: f64 = 22.2;
 /// Number of vehicles that a count feature shows as 1.
 pub const COUNT: f64 = 12.0;
+
+/// Distances that features show as 1 \[m\].
+#[derive(Debug, Clone, Copy)]
+pub struct Scales {
+    /// Of features that resolve the gaps of a queue.
+    pub near: f64,
+    /// Of features that reach further.
+    pub far: f64,
+    /// Of features of the agent's own route.
+    pub long: f64,
+}
+
+impl Scales {
+    /// Returns the distance scales of a scenario: 15, 50 and 100 m, times the scenario's distance
+    /// scale over 50 m.
+    pub fn of(scenario: &Scenario) -> Self {
+        let far = scenario.observation.distance_scale;
+        Self { near: far * 15.0 / 50.0, far, long: far * 2.0 }
+    }
+
+    /// Returns the unit of a feature with the scenario's numbers in place of `{near}`, `{far}` and
+    /// `{long}`.
+    pub fn unit(&self, unit: &str) -> String {
+        let scales = [("{near}", self.near), ("{far}", self.far), ("{long}", self.long)];
+        scales
+            .iter()
+            .fold(unit.to_owned(), |unit, (name, scale)| unit.replace(name, &scale.to_string()))
+    }
+}
 
 /// A group of features.
 #[derive(Debug)]
@@ -45,6 +70,11 @@ pub struct View<'a> {
 }
 
 impl<'a> View<'a> {
+    /// Returns the distance scales of the scenario's features.
+    pub fn scales(&self) -> Scales {
+        Scales::of(self.scenario)
+    }
+
     /// Returns the agent's slot.
     pub fn own(&self) -> &'a Slot {
         &self.traffic.slots[self.slot]
@@ -55,10 +85,17 @@ impl<'a> View<'a> {
         &self.map.routes[self.own().route]
     }
 
-    /// Whether the vehicle of slot `j` is another one and within the detection range.
+    /// Whether the vehicle of slot `j` is another one, within the detection range, and not behind a
+    /// polygon that blocks sight.
     pub fn detects(&self, j: usize) -> bool {
         j != self.slot
             && self.traffic.distance(self.slot, j) <= self.scenario.observation.detection_range
+            && !(self.walls_block_sight() && self.traffic.is_blocked(self.slot, j))
+    }
+
+    /// Whether the scenario has polygons that block sight.
+    pub fn walls_block_sight(&self) -> bool {
+        self.scenario.occlusion.as_ref().is_some_and(|occlusion| occlusion.sight)
     }
 
     /// Returns the slots of the other vehicles within the detection range.

@@ -1,6 +1,6 @@
 //! The lanes beside the agent: whether it may change to them, and the vehicles next to it there.
 
-use super::group::{FAR, FeatureGroup, View, Writer};
+use super::group::{FeatureGroup, View, Writer};
 use crate::env::driving::lane_routes::Side;
 use crate::env::driving::motion::LANE_TIME;
 use crate::env::spec::Described;
@@ -8,20 +8,20 @@ use crate::scenario::LaneChange;
 
 /// Features of the lane that the agent is on.
 const OWN: [Described; 2] = [
-    ("to_lane_change", "100 m, to where the route needs another lane, 1: nowhere", 0.0, 1.0),
+    ("to_lane_change", "{long} m, to where the route needs another lane, 1: nowhere", 0.0, 1.0),
     ("lane_time", "3 s, until the agent may change lanes again", 0.0, 1.0),
 ];
 
 /// Features of a lane beside the agent. Gaps are from bumper to bumper, negative where the vehicles
 /// are beside each other.
 const BESIDE: [Described; 10] = [
-    ("to_lane_change", "100 m, to where the route needs another lane, 1: nowhere", 0.0, 1.0),
+    ("to_lane_change", "{long} m, to where the route needs another lane, 1: nowhere", 0.0, 1.0),
     ("leader_gap_near", "10 m", -1.0, 1.0),
-    ("leader_gap_far", "50 m", -1.0, 1.0),
+    ("leader_gap_far", "{far} m", -1.0, 1.0),
     ("leader_relative_speed", "10 m/s", -1.0, 1.0),
     ("leader", "flag", 0.0, 1.0),
     ("follower_gap_near", "10 m", -1.0, 1.0),
-    ("follower_gap_far", "50 m", -1.0, 1.0),
+    ("follower_gap_far", "{far} m", -1.0, 1.0),
     ("follower_relative_speed", "10 m/s", -1.0, 1.0),
     ("follower", "flag", 0.0, 1.0),
     ("present", "flag: the agent may change to the lane", 0.0, 1.0),
@@ -60,7 +60,7 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
 /// route needs another lane, in units of 100 m, at most 1.
 fn to_lane_change(view: &View<'_>, route: usize, s: f64) -> f64 {
     let front = s + view.own().size[0] / 2.0;
-    ((view.map.lane_change[route] - front) / 100.0).clamp(0.0, 1.0)
+    ((view.map.lane_change[route] - front) / view.scales().long).clamp(0.0, 1.0)
 }
 
 /// Returns the nearest vehicles ahead of and behind the position `s` on a route, each with the distance
@@ -94,5 +94,5 @@ fn described(view: &View<'_>, neighbour: Option<(f64, usize)>) -> [f64; 4] {
     let Some((distance, j)) = neighbour else { return [0.0; 4] };
     let (own, other) = (view.own(), &view.traffic.slots[j]);
     let gap = distance - f64::midpoint(own.size[0], other.size[0]);
-    [gap / 10.0, gap / FAR, (other.speed - own.speed) / 10.0, 1.0]
+    [gap / 10.0, gap / view.scales().far, (other.speed - own.speed) / 10.0, 1.0]
 }

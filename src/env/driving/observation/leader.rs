@@ -1,13 +1,13 @@
 //! The nearest vehicle ahead on the agent's lanes, and how many vehicles are ahead.
 
-use super::group::{COUNT, FAR, FeatureGroup, View, Writer, moving};
+use super::group::{COUNT, FeatureGroup, View, Writer, moving};
 use crate::env::driving::agents::Candidate;
 use crate::env::spec::Described;
 
 const FEATURES: [Described; 6] = [
     ("vehicles_ahead", "12 vehicles", 0.0, 1.0),
     ("gap_near", "10 m", -1.0, 1.0),
-    ("gap_far", "50 m", -1.0, 1.0),
+    ("gap_far", "{far} m", -1.0, 1.0),
     ("relative_speed", "10 m/s", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
@@ -41,7 +41,14 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
         let other = &view.traffic.slots[j];
         let gap = centre_gap - f64::midpoint(own.size[0], other.size[0]);
         let closing = (other.speed - own.speed) / 10.0;
-        [f64::from(ahead) / COUNT, gap / 10.0, gap / FAR, closing, moving(other.status), 1.0]
+        [
+            f64::from(ahead) / COUNT,
+            gap / 10.0,
+            gap / view.scales().far,
+            closing,
+            moving(other.status),
+            1.0,
+        ]
     });
     w.tokens(&FEATURES, 1, token.into_iter());
 }

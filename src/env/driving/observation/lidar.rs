@@ -31,6 +31,9 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     let (mut along, mut ends) = ([[0.0; 2]; Lidar::MOST], [0.0; Lidar::MOST]);
     let mut beams = Beams::new(lidar, own, &mut along[..lidar.beams], &mut ends[..lidar.beams]);
     beams.end_with_road(view.map.road());
+    if view.walls_block_sight() {
+        view.map.walls.sides().for_each(|side| beams.end_with_line(side));
+    }
     for (j, other) in traffic.slots.iter().enumerate() {
         if j == view.slot
             || other.status == Status::Empty
@@ -126,34 +129,37 @@ impl<'a> Beams<'a> {
 
     /// Ends beams at kerbs and lines.
     fn end_with_road(&mut self, road: &Road) {
-        /// Share of a line's length by which it is extended at both ends, so that rounding lets no
-        /// beam pass through an end.
-        const EDGE: f64 = 1e-9;
         let own: [f64; 2] = self.from.translation.vector.into();
         for (end, along) in self.ends.iter_mut().zip(self.along) {
             *end = road.to_kerb(own, *along, self.range);
         }
-        let range = self.range;
-        road.lines_around(own, range, |line| {
-            let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
-            let direction = [b[0] - a[0], b[1] - a[1]];
-            let apart = cross(a, direction);
-            // Distance of the straight line through both ends.
-            let nearest =
-                apart.abs() / (direction[0] * direction[0] + direction[1] * direction[1]).sqrt();
-            if nearest > range {
-                return;
-            }
-            // From the left of a directed line, its end is counter-clockwise of its start.
-            let [first, last] =
-                if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end.into()));
-            let wide = last - first + SLACK;
-            let wide = if wide < 0.0 { wide + TAU } else { wide };
-            self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
-                let across = cross(along, direction).recip();
-                let (distance, place) = (apart * across, cross(a, along) * across);
-                (distance >= 0.0 && (-EDGE..=1.0 + EDGE).contains(&place)).then_some(distance)
-            });
+        road.lines_around(own, self.range, |line| self.end_with_line(line));
+    }
+
+    /// Ends beams at a straight line between two points.
+    fn end_with_line(&mut self, line: [[f64; 2]; 2]) {
+        /// Share of a line's length by which it is extended at both ends, so that rounding lets no
+        /// beam pass through an end.
+        const EDGE: f64 = 1e-9;
+        let own: [f64; 2] = self.from.translation.vector.into();
+        let [a, b] = line.map(|p| [p[0] - own[0], p[1] - own[1]]);
+        let direction = [b[0] - a[0], b[1] - a[1]];
+        let apart = cross(a, direction);
+        // Distance of the straight line through both ends.
+        let nearest =
+            apart.abs() / (direction[0] * direction[0] + direction[1] * direction[1]).sqrt();
+        if nearest > self.range {
+            return;
+        }
+        // From the left of a directed line, its end is counter-clockwise of its start.
+        let [first, last] =
+            if apart > 0.0 { [a, b] } else { [b, a] }.map(|end| self.bearing(end.into()));
+        let wide = last - first + SLACK;
+        let wide = if wide < 0.0 { wide + TAU } else { wide };
+        self.between(first - SLACK, wide + SLACK, nearest * (1.0 - EDGE), |along| {
+            let across = cross(along, direction).recip();
+            let (distance, place) = (apart * across, cross(a, along) * across);
+            (distance >= 0.0 && (-EDGE..=1.0 + EDGE).contains(&place)).then_some(distance)
         });
     }
 }

@@ -30,7 +30,7 @@ pub mod signals;
 mod steering;
 mod streams;
 
-pub use group::{FeatureGroup, View, Writer};
+pub use group::{FeatureGroup, Scales, View, Writer};
 
 /// The feature groups, in their order in the observation.
 pub static GROUPS: &[FeatureGroup] = &[

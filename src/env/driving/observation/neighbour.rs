@@ -2,14 +2,14 @@
 
 use std::f64::consts::PI;
 
-use super::group::{FAR, FeatureGroup, NEAR, SPEED, View, Writer, moving};
+use super::group::{FeatureGroup, SPEED, View, Writer, moving};
 use crate::env::spec::Described;
 use crate::scenario::NeighbourOrder;
 
 /// Features of a neighbour that is listed by distance.
 const BY_DISTANCE: [Described; 6] = [
-    ("forward", "50 m", -1.0, 1.0),
-    ("left", "50 m", -1.0, 1.0),
+    ("forward", "{far} m", -1.0, 1.0),
+    ("left", "{far} m", -1.0, 1.0),
     ("velocity_forward", "22.2 m/s", -1.0, 1.0),
     ("velocity_left", "22.2 m/s", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
@@ -21,8 +21,8 @@ const BY_DISTANCE: [Described; 6] = [
 const BY_BEARING: [Described; 8] = [
     BY_DISTANCE[0],
     BY_DISTANCE[1],
-    ("forward_near", "15 m", -1.0, 1.0),
-    ("left_near", "15 m", -1.0, 1.0),
+    ("forward_near", "{near} m", -1.0, 1.0),
+    ("left_near", "{near} m", -1.0, 1.0),
     BY_DISTANCE[2],
     BY_DISTANCE[3],
     BY_DISTANCE[4],
@@ -51,7 +51,7 @@ pub const GROUP: FeatureGroup = FeatureGroup {
 };
 
 fn write(view: &View<'_>, w: &mut Writer<'_>) {
-    let (traffic, settings) = (view.traffic, &view.scenario.observation);
+    let (traffic, settings, scales) = (view.traffic, &view.scenario.observation, view.scales());
     let mut nearest = [(f64::INFINITY, usize::MAX); MOST];
     let nearest = &mut nearest[..settings.neighbours];
     for j in view.detected() {
@@ -85,13 +85,22 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     if by_bearing {
         let token = |j| {
             let [x, y, forward, left, moving] = seen(j);
-            [x / FAR, y / FAR, x / NEAR, y / NEAR, forward, left, moving, 1.0]
+            [
+                x / scales.far,
+                y / scales.far,
+                x / scales.near,
+                y / scales.near,
+                forward,
+                left,
+                moving,
+                1.0,
+            ]
         };
         w.tokens(&BY_BEARING, nearest.len(), found.map(token));
     } else {
         let token = |j| {
             let [x, y, forward, left, moving] = seen(j);
-            [x / FAR, y / FAR, forward, left, moving, 1.0]
+            [x / scales.far, y / scales.far, forward, left, moving, 1.0]
         };
         w.tokens(&BY_DISTANCE, nearest.len(), found.map(token));
     }

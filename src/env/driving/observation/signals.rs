@@ -1,13 +1,13 @@
 //! The signal that the agent comes to next.
 
-use super::group::{FAR, FeatureGroup, NEAR, View, Writer};
+use super::group::{FeatureGroup, View, Writer};
 use crate::env::spec::Described;
 use crate::scenario::Scenario;
 use crate::sumo::net::Aspect;
 
 const FEATURES: [Described; 12] = [
-    ("to_line_far", "50 m", 0.0, 1.0),
-    ("to_line_near", "15 m", 0.0, 1.0),
+    ("to_line_far", "{far} m", 0.0, 1.0),
+    ("to_line_near", "{near} m", 0.0, 1.0),
     ("red", "flag", 0.0, 1.0),
     ("yellow", "flag", 0.0, 1.0),
     ("green", "flag", 0.0, 1.0),
@@ -43,8 +43,8 @@ fn write(view: &View<'_>, range: f64, w: &mut Writer<'_>) {
         let flag = |aspects: &[Aspect]| f64::from(u8::from(aspects.contains(&next.aspect)));
         let to_change = next.to_change.unwrap_or(0.0).max(0.0);
         [
-            next.distance / FAR,
-            next.distance / NEAR,
+            next.distance / view.scales().far,
+            next.distance / view.scales().near,
             flag(&[Aspect::Red, Aspect::RedYellow]),
             flag(&[Aspect::Yellow, Aspect::RedYellow]),
             flag(&[Aspect::Green, Aspect::Priority]),

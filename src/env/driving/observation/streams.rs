@@ -1,22 +1,22 @@
 //! The vehicles next to each conflict point of the agent's route, and those whose routes have no
 //! conflict with it. A route with more conflicts than streams shows those that come next.
 
-use super::group::{COUNT, FAR, FeatureGroup, NEAR, SPEED, View, Writer, moving};
+use super::group::{COUNT, FeatureGroup, SPEED, View, Writer, moving};
 use crate::env::driving::agents::{CLEARED, Candidate};
 use crate::env::spec::Described;
 
 /// Features of a conflict point.
 const STREAM: [Described; 4] = [
-    ("own_far", "50 m", -1.0, 1.0),
-    ("own_near", "15 m", -1.0, 1.0),
+    ("own_far", "{far} m", -1.0, 1.0),
+    ("own_near", "{near} m", -1.0, 1.0),
     ("vehicles", "12 vehicles", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
 ];
 
 /// Features of a vehicle.
 const VEHICLE: [Described; 5] = [
-    ("to_conflict_far", "50 m", -1.0, 1.0),
-    ("to_conflict_near", "15 m", -1.0, 1.0),
+    ("to_conflict_far", "{far} m", -1.0, 1.0),
+    ("to_conflict_near", "{near} m", -1.0, 1.0),
     ("speed", "22.2 m/s", 0.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
@@ -44,11 +44,11 @@ pub const GROUP: FeatureGroup = FeatureGroup {
 fn write(view: &View<'_>, w: &mut Writer<'_>) {
     let View { map, knowledge, .. } = *view;
     let (own, route) = (view.own(), view.route());
-    let settings = &view.scenario.observation;
+    let (settings, scales) = (&view.scenario.observation, view.scales());
     let vehicle = |(distance, j): (f64, usize)| {
         let other = &view.traffic.slots[j];
         let speed = other.speed.max(0.0) / SPEED;
-        [distance / FAR, distance / NEAR, speed, moving(other.status), 1.0]
+        [distance / scales.far, distance / scales.near, speed, moving(other.status), 1.0]
     };
     let conflicts = route.upcoming(own.s, settings.conflict_streams);
     for stream in 0..settings.conflict_streams {
@@ -64,7 +64,7 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
             distances.filter(|&(distance, j)| distance > -CLEARED && view.detects(j))
         };
         let count = approaching().count() as f64 / COUNT;
-        w.put([own_distance / FAR, own_distance / NEAR, count, 1.0]);
+        w.put([own_distance / scales.far, own_distance / scales.near, count, 1.0]);
         w.tokens(&VEHICLE, settings.stream_vehicles, approaching().map(vehicle));
     }
     let distances = route.apart.iter().flat_map(|&r| {

@@ -27,6 +27,8 @@ impl World {
             success,
             safety: 1.0 - danger,
             crash: trips.crashed / n,
+            unfinished: trips.unfinished / n,
+            delay: trips.delay,
             out_of_road: trips.out_of_road / n,
             reward: flow.map_or(total, |flow| per_agent(flow.departed)),
             efficiency: (success - danger) * n / f64::from(self.episode.step.max(1)),

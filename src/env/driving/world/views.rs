@@ -23,6 +23,14 @@ impl World {
         }
         let range = scenario.communication.range;
         physical_mask(&self.poses, &self.present, range, &mut self.frame.comm);
+        if scenario.occlusion.as_ref().is_some_and(|occlusion| occlusion.radio) {
+            let n = self.task.agents;
+            for i in 0..n {
+                for j in (0..n).filter(|&j| self.traffic.is_blocked(i, j)) {
+                    self.frame.comm[i * n + j] = 0.0;
+                }
+            }
+        }
         if !self.frame.sharing.is_empty() {
             let range = scenario.reward.share_range;
             physical_mask(&self.poses, &self.present, range, &mut self.frame.sharing);
