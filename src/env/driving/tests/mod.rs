@@ -2,6 +2,7 @@
 //! along their route's path by speed times the step length. What SUMO itself does is tested in
 //! `tests/`.
 
+mod blind;
 mod episodes;
 mod flow;
 mod intention;
@@ -21,6 +22,7 @@ use proptest::prelude::*;
 use super::agents::CLEARED;
 use super::*;
 use crate::env::Pursuit;
+use crate::env::spec::Feature;
 use crate::rng::Seed;
 use crate::scenario::{NeighbourOrder, ObservationGroups, Scenario};
 use crate::sumo::net::Net;
