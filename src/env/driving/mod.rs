@@ -61,7 +61,7 @@ pub use map::{Map, RoutePosition};
 pub use metrics::{BackgroundMetrics, EpisodeRecord};
 pub use order::Position;
 pub use refusals::Refused;
-pub use routes::{Conflict, RouteGeometry};
+pub use routes::{Conflict, RouteGeometry, Strip};
 pub use task::{Driver, Task};
 pub use trips::FlowMetrics;
 pub use vec::{Resets, VecEnv, VecOptions};

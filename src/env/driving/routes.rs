@@ -32,6 +32,8 @@ pub struct RouteGeometry {
     /// [`RouteGeometry::conflicts`], and further places of strips that both paths use in opposite
     /// directions.
     by_route: Vec<Vec<Conflict>>,
+    /// For every route, the strips that both use in opposite directions.
+    strips: Vec<Vec<Strip>>,
     /// For every route, the stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
     /// Where other paths pass over or under this one.
@@ -50,6 +52,35 @@ pub struct Conflict {
     pub own: f64,
     /// Position of the conflict point on the other route.
     pub other: f64,
+}
+
+/// A strip that two routes use in opposite directions, such as a lane for both directions of a road:
+/// where a vehicle on each of them enters and leaves it \[m\]. Outside, the vehicles have room
+/// beside each other.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Strip {
+    /// Where a vehicle on this route enters and leaves.
+    pub own: [f64; 2],
+    /// Where a vehicle on the other route enters and leaves.
+    pub other: [f64; 2],
+}
+
+impl Strip {
+    /// Returns the strip between two conflicts of the paths, for vehicles of this width \[m\].
+    fn between(path: &Path, other: &Path, [first, last]: [Conflict; 2], width: f64) -> Self {
+        /// Distance between vehicles that pass each other \[m\].
+        const BESIDE: f64 = 0.3;
+        let has_room = |s: f64| other.nearest(path.at(s).0).1.abs() > width + BESIDE;
+        let end = |mut s: f64, step: f64| {
+            while (0.0..=path.length()).contains(&s) && !has_room(s) {
+                s += step;
+            }
+            (s, other.nearest(path.at(s).0).0)
+        };
+        let (own_from, other_to) = end(first.own, -STEP);
+        let (own_to, other_from) = end(last.own, STEP);
+        Self { own: [own_from, own_to], other: [other_from, other_to] }
+    }
 }
 
 /// Conflicts at most this far apart are one group: a vehicle that has left the first with its whole
@@ -130,6 +161,11 @@ impl RouteGeometry {
         self.by_route[route].iter().find(ahead).copied()
     }
 
+    /// Returns the strips that this route and `route` use in opposite directions.
+    pub fn opposing_strips(&self, route: usize) -> &[Strip] {
+        &self.strips[route]
+    }
+
     /// Returns the distance from `s` to the first point of the group of conflicts that the vehicle
     /// has not yet left, which is negative in the group; to the last group after all of them; to the
     /// arrival if the route has no conflict \[m\].
@@ -173,7 +209,7 @@ pub(super) fn geometry(
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
-    let (mut by_route, mut shared) = (Vec::new(), Vec::new());
+    let (mut by_route, mut shared, mut strips) = (Vec::new(), Vec::new(), Vec::new());
     let (mut conflicts, mut bridges) = (Vec::new(), Vec::new());
     for (b, other) in paths.iter().enumerate() {
         let stretches = shared_stretches(path, other, a == b);
@@ -187,7 +223,12 @@ pub(super) fn geometry(
         let identity = (a == b).then_some(Shared::IDENTITY);
         let stretches = identity.into_iter().chain(extended(path, other, stretches, size));
         shared.push(stretches.collect());
-        by_route.push(met.iter().map(|place| conflict(place.own, place.other)).collect());
+        let all: Vec<_> = met.iter().map(|place| conflict(place.own, place.other)).collect();
+        let opposing = all.chunk_by(|one, next| next.other < one.other);
+        let ends =
+            opposing.filter(|part| part.len() > 1).map(|part| [part[0], part[part.len() - 1]]);
+        strips.push(ends.map(|ends| Strip::between(path, other, ends, size[1])).collect());
+        by_route.push(all);
         conflicts.extend(first);
     }
     let no_conflict = |b: &usize| *b != a && Vec::<Conflict>::is_empty(&by_route[*b]);
@@ -205,6 +246,7 @@ pub(super) fn geometry(
         conflicts,
         apart,
         by_route,
+        strips,
         shared,
         bridges,
         groups,

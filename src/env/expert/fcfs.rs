@@ -1,5 +1,6 @@
 //! The driver that gives way first come, first served: when it brakes.
 
+use crate::env::driving::Strip;
 use crate::env::driving::agents::{NextSignal, Slot, Status, Traffic};
 use crate::env::driving::intention::Knowledge;
 use crate::env::driving::right_of_way::{Free, RESERVE, free, inherit, to_entry};
@@ -22,7 +23,12 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let brakes = control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING);
     let gives_way = |(slot, own): (usize, &Slot)| {
         let seen = |space: Free, j| space.min(free(knowledge, &priorities, slot, j));
-        let space = (0..priorities.len()).fold(Free::ALL, seen);
+        let mut space = (0..priorities.len()).fold(Free::ALL, seen);
+        for j in (0..priorities.len()).filter(|&j| j != slot) {
+            let before = before_strip(knowledge, &priorities, slot, j);
+            let behind = behind_leader(knowledge, slot, j, brakes);
+            space.distance = space.distance.min(before).min(behind);
+        }
         let braking = own.speed * own.speed / (2.0 * brakes);
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
@@ -38,6 +44,37 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
                 || outside && space.distance.min(space.slow) < f64::INFINITY)
     };
     traffic.slots.iter().enumerate().map(gives_way).collect()
+}
+
+/// Returns how far the vehicle of `slot` can drive if the vehicle of slot `j`, which is ahead of it,
+/// brakes as hard as it can (Gipps, Transportation Research B 1981) \[m\]; infinite if that vehicle
+/// is not ahead. `brakes` is the deceleration of both \[m/s²\].
+fn behind_leader(knowledge: Knowledge<'_>, slot: usize, j: usize, brakes: f64) -> f64 {
+    let [own, other] = [slot, j].map(|slot| &knowledge.traffic.slots[slot]);
+    let route = &knowledge.routes[own.route];
+    let present = other.status != Status::Empty;
+    let gap = route.gap_to_leader(own.s, other.route, other.s).filter(|_| present);
+    gap.map_or(f64::INFINITY, |gap| {
+        let lengths = f64::midpoint(own.size[0], other.size[0]);
+        gap - lengths + other.speed * other.speed / (2.0 * brakes)
+    })
+}
+
+/// Returns how far the vehicle of `slot` can drive until it has to wait for the vehicle of slot `j`
+/// before a strip that both use in opposite directions, such as a lane for two directions \[m\]:
+/// for one that is on the strip, or comes to it with priority. Infinite if it need not wait.
+fn before_strip(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j: usize) -> f64 {
+    let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
+    let [own, other] = [slot, j].map(|slot| &slots[slot]);
+    let [nose, other_nose] = [own, other].map(|slot| slot.s + slot.size[0] / 2.0);
+    let waits = |strip: &&Strip| {
+        let on_it = other_nose > strip.other[0];
+        let has_left = other.s - other.size[0] / 2.0 > strip.other[1];
+        nose < strip.own[0] && !has_left && (on_it || priorities[j] < priorities[slot])
+    };
+    let strips = routes[own.route].opposing_strips(other.route);
+    let first = strips.iter().filter(|_| other.status != Status::Empty).find(waits);
+    first.map_or(f64::INFINITY, |strip| strip.own[0] - nose)
 }
 
 #[cfg(test)]

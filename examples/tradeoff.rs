@@ -1,0 +1,199 @@
+//! The best trade-off between crashes and delay on the lane for two directions
+//! (`scenarios/one_lane.xml`), of policies that see nobody until it is too late, and of policies
+//! that know who comes.
+//!
+//! Two arms, a lane that takes `TRANSIT` seconds. On each arm, a vehicle comes with probability
+//! `presence`, at a time that is uniform over a window. Two vehicles that enter from opposite ends
+//! within the transit time crash.
+//!
+//! **Local policies.** Until another vehicle is in sight, what a vehicle does cannot depend on
+//! whether one comes. So a policy is a planned entry time for each arrival time, whatever the policy
+//! remembers, and a vehicle enters earlier only if it sees the other come out. A policy may know the
+//! time (the simulated ones do not) and treat the two arms differently. The program searches for the
+//! plans with the least cost, delay plus `λ` times crashes, by alternating exact best responses from
+//! many starts. The curve is the best that it finds, not a certificate of the optimum.
+//!
+//! **Full information.** Of two vehicles that would meet, the second waits outside until the first
+//! has come out.
+//!
+//! Entries are ideal: braking and starting again cost nothing, so that a simulated policy is slower
+//! than these bounds. `cargo run --release --no-default-features --example tradeoff` prints the
+//! curves as CSV.
+
+use rand::RngExt as _;
+
+use iwol_sumo::rng::{self, Rng, Seed};
+
+/// Time from the entry of a vehicle until its rear has left the lane \[s\]: 60 m and the length of a
+/// vehicle at 14 m/s. Beside the lane the vehicles still overlap for some metres, so that the real
+/// time is longer and the curve favours local policies.
+const TRANSIT: f64 = (60.0 + 4.515) / 14.0;
+/// Resolution of times \[s\].
+const STEP: f64 = 0.25;
+/// Number of starts of the search.
+const STARTS: usize = 60;
+
+/// Probabilities of an episode.
+#[derive(Clone, Copy)]
+struct Demand {
+    /// That both vehicles come.
+    both: f64,
+    /// That only the vehicle of a certain arm comes.
+    alone: f64,
+}
+
+impl Demand {
+    /// As in scenario files: a vehicle comes to each place with this probability, and if none would
+    /// come, one of them does.
+    fn of(presence: f64) -> Self {
+        let both = presence * presence;
+        Self { both, alone: (1.0 - both) / 2.0 }
+    }
+
+    /// Returns the mean number of vehicles of an episode.
+    fn vehicles(self) -> f64 {
+        2.0 * (self.both + self.alone)
+    }
+}
+
+/// Planned entry times of one arm, by arrival time.
+type Plan = Vec<f64>;
+
+/// What a pair of plans comes to.
+#[derive(Clone, Copy, Default)]
+struct Outcome {
+    /// Share of vehicles that crash.
+    crash: f64,
+    /// Delay of the vehicles that do not crash, mean \[s\].
+    delay: f64,
+}
+
+/// Returns when two vehicles enter, given arrivals and plans: a vehicle that sees the other come out
+/// enters at once. `None` if they crash.
+fn meet(arrivals: [f64; 2], plans: [f64; 2]) -> Option<[f64; 2]> {
+    let [a, b] = plans;
+    if (a - b).abs() < TRANSIT - 1e-9 {
+        return None;
+    }
+    let first = usize::from(b < a);
+    let mut entries = plans;
+    entries[1 - first] = (plans[first] + TRANSIT).max(arrivals[1 - first]).min(plans[1 - first]);
+    Some(entries)
+}
+
+/// Returns the cost of entering at `entry` after an arrival at `arrival` \[s\]: delays of both
+/// vehicles, and `lambda` seconds for each vehicle that crashes.
+fn cost(demand: Demand, lambda: f64, times: &[f64], arm: (f64, f64), other: &Plan) -> f64 {
+    let (arrival, entry) = arm;
+    let met = times.iter().zip(other).map(|(&time, &planned)| {
+        meet([arrival, time], [entry, planned])
+            .map_or(2.0 * lambda, |entries| entries[0] - arrival + entries[1] - time)
+    });
+    demand.alone * (entry - arrival) + demand.both * met.sum::<f64>() / times.len() as f64
+}
+
+fn outcome(demand: Demand, times: &[f64], plans: &[Plan; 2]) -> Outcome {
+    let pairs = (times.len() * times.len()) as f64;
+    let (mut crashed, mut delay) = (0.0, 0.0);
+    for (i, &a) in times.iter().enumerate() {
+        for (j, &b) in times.iter().enumerate() {
+            match meet([a, b], [plans[0][i], plans[1][j]]) {
+                None => crashed += demand.both * 2.0 / pairs,
+                Some(entries) => delay += demand.both * (entries[0] - a + entries[1] - b) / pairs,
+            }
+        }
+    }
+    for plan in plans {
+        let waits = times.iter().zip(plan).map(|(time, entry)| entry - time);
+        delay += demand.alone * waits.sum::<f64>() / times.len() as f64;
+    }
+    let (vehicles, arrived) = (demand.vehicles(), demand.vehicles() - crashed);
+    Outcome { crash: crashed / vehicles, delay: delay / arrived.max(1e-9) }
+}
+
+/// Returns the best plans that the search finds for this price of a crash \[s\].
+fn best_local(demand: Demand, window: f64, lambda: f64, rng: &mut Rng) -> Outcome {
+    let times: Vec<f64> =
+        (0..).map(|i| (f64::from(i) + 0.5) * STEP).take_while(|&time| time < window).collect();
+    let entries: Vec<f64> = (0..)
+        .map(|i| (f64::from(i) + 0.5) * STEP)
+        .take_while(|&t| t < window + 2.0 * TRANSIT)
+        .collect();
+    let mut best: Option<(f64, [Plan; 2])> = None;
+    for start in 0..STARTS {
+        let mut plans = [times.clone(), times.clone()];
+        match start {
+            // Everybody drives; one arm waits for the whole window; time slots; anything.
+            0 => {}
+            1 => plans[1].iter_mut().for_each(|entry| *entry = entry.max(window + TRANSIT)),
+            2..=12 => {
+                let slot = 2.0 * TRANSIT * (0.5 + 0.1 * start as f64);
+                for (plan, offset) in plans.iter_mut().zip([0.0, slot / 2.0]) {
+                    for entry in plan {
+                        *entry = offset + slot * ((*entry - offset) / slot).ceil().max(0.0);
+                    }
+                }
+                for (plan, time) in plans.iter_mut().flat_map(|plan| plan.iter_mut().zip(&times)) {
+                    *plan = plan.max(*time);
+                }
+            }
+            _ => {
+                for (plan, time) in plans.iter_mut().flat_map(|plan| plan.iter_mut().zip(&times)) {
+                    *plan = time.max(entries[rng.random_range(0..entries.len())]);
+                }
+            }
+        }
+        let mut last = f64::INFINITY;
+        loop {
+            for arm in [0, 1] {
+                let other = plans[1 - arm].clone();
+                for (entry, &time) in plans[arm].iter_mut().zip(&times) {
+                    let later = entries.iter().copied().filter(|&entry| entry > time);
+                    let choices = std::iter::once(time).chain(later);
+                    let price = |entry: f64| cost(demand, lambda, &times, (time, entry), &other);
+                    *entry = choices
+                        .min_by(|a, b| price(*a).total_cmp(&price(*b)))
+                        .expect("there is a choice");
+                }
+            }
+            let found = outcome(demand, &times, &plans);
+            let value = lambda * found.crash * demand.vehicles()
+                + found.delay * (1.0 - found.crash) * demand.vehicles();
+            if value > last - 1e-9 {
+                break;
+            }
+            last = value;
+        }
+        if best.as_ref().is_none_or(|(value, _)| last < *value) {
+            best = Some((last, plans));
+        }
+    }
+    best.map(|(_, plans)| outcome(demand, &times, &plans)).unwrap_or_default()
+}
+
+/// Returns the outcome with full information: of two that would meet, the later one waits.
+fn full_information(demand: Demand, window: f64, rng: &mut Rng) -> Outcome {
+    const DRAWS: usize = 200_000;
+    let wait = |rng: &mut Rng| {
+        let [a, b] = [rng::uniform(rng), rng::uniform(rng)].map(|share| share * window);
+        (TRANSIT - (a - b).abs()).max(0.0)
+    };
+    let mean = (0..DRAWS).map(|_| wait(rng)).sum::<f64>() / DRAWS as f64;
+    Outcome { crash: 0.0, delay: demand.both * mean / demand.vehicles() }
+}
+
+fn main() {
+    let demand = Demand::of(0.8);
+    println!("window_s,policy,crash_price_s,crash_percent,delay_s");
+    for window in [7.0, 20.0] {
+        let mut rng = Seed::new(1).rng();
+        let row = |policy: &str, price: &str, Outcome { crash, delay }: Outcome| {
+            println!("{window},{policy},{price},{:.2},{delay:.2}", 100.0 * crash);
+        };
+        row("full information", "", full_information(demand, window, &mut rng));
+        for lambda in [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 25.0, 50.0, 1000.0] {
+            let found = best_local(demand, window, lambda, &mut rng);
+            row("local", &lambda.to_string(), found);
+        }
+    }
+}
