@@ -129,7 +129,8 @@ pub(super) fn on_two_levels(map: &Map, a: &Slot, b: &Slot) -> bool {
     map.routes[a.route].passes_over(a.s, b.route, b.s, a.size[0] + b.size[0])
 }
 
-/// Whether the boxes of two vehicles overlap at some time of the last step.
+/// Whether the boxes of two vehicles overlap at some time of the last step at which both were on the
+/// road.
 fn overlap_in_step(a: &Slot, b: &Slot) -> bool {
     let half = |slot: &Slot| f64::midpoint(slot.size[0], slot.size[1]);
     let reach = half(a) + half(b);
@@ -137,9 +138,34 @@ fn overlap_in_step(a: &Slot, b: &Slot) -> bool {
     if a.pose.distance(&b.pose) > reach + travelled {
         return false;
     }
-    (1..=SUBSTEPS).any(|k| {
+    let first = if a.is_new || b.is_new { SUBSTEPS } else { 1 };
+    (first..=SUBSTEPS).any(|k| {
         let t = f64::from(k) / f64::from(SUBSTEPS);
         let [at, other] = [a, b].map(|slot| slot.before.towards(&slot.pose, t));
         boxes_overlap((&at, a.size), (&other, b.size))
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::driving::geometry::Pose;
+
+    /// SUMO puts a vehicle on the road behind one that has just passed its place.
+    #[test]
+    fn a_new_vehicle_does_not_collide_with_one_that_has_passed() {
+        let at = |x: f64| Pose { x, y: 0.0, heading: 0.0 };
+        let slot = |before: f64, now: f64, is_new: bool| Slot {
+            status: Status::Active,
+            pose: at(now),
+            before: at(before),
+            size: [4.5, 1.8],
+            is_new,
+            ..Slot::default()
+        };
+        let passes = slot(17.0, 19.8, false);
+        assert!(!overlap_in_step(&passes, &slot(14.0, 14.0, true)));
+        assert!(overlap_in_step(&passes, &slot(14.0, 14.0, false)), "it was there before");
+        assert!(overlap_in_step(&passes, &slot(16.0, 16.0, true)), "it is in the way");
+    }
 }

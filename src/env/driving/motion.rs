@@ -250,6 +250,7 @@ pub(super) fn place(
                 slot.speed = vehicle.speed;
             }
         }
+        slot.is_new = departs;
         if departs {
             (slot.status, slot.entered) = (Status::Active, step);
         }
