@@ -3,7 +3,7 @@
 use tch::{Device, Kind, Tensor};
 
 use super::ppo;
-use crate::nn::graph::edge_rate;
+use crate::nn::graph::count_edges;
 use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
@@ -267,10 +267,12 @@ impl Shard {
         packing.take(tensors, &self.samples)
     }
 
-    /// Returns the share of the physically possible edges of a graph that are open, a mean over the
-    /// active samples. `graph` and `comm` hold this shard's rows, `[L · C, N, N]`.
+    /// Returns the share of the physically possible edges of a graph that are open, of all edges of
+    /// the active samples together; 0 if none is possible. `graph` and `comm` hold this shard's
+    /// rows, `[L · C, N, N]`.
     pub(super) fn edge_rate(&self, graph: &Tensor, comm: &Tensor) -> Tensor {
-        self.pick(&edge_rate(graph, comm).unsqueeze(-1)).mean(Kind::Float)
+        let counts = self.pick(&count_edges(graph, comm)).sum_dim_intlist(0, false, Kind::Float);
+        counts.get(0) / counts.get(1).clamp_min(1.0)
     }
 
     /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to

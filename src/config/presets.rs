@@ -17,8 +17,11 @@ pub(super) const STEERING: Preset =
     Preset { name: "steering", text: include_str!("../../presets/steering.toml") };
 
 /// All presets.
-pub const PRESETS: [Preset; 2] =
-    [STEERING, Preset { name: "paper", text: include_str!("../../presets/paper.toml") }];
+pub const PRESETS: [Preset; 3] = [
+    STEERING,
+    Preset { name: "paper", text: include_str!("../../presets/paper.toml") },
+    Preset { name: "messages", text: include_str!("../../presets/messages.toml") },
+];
 
 impl Preset {
     /// Returns the preset called `name`.

@@ -102,13 +102,13 @@ pub fn sample_best(scores: &Tensor, count: i64) -> Tensor {
     hard + (&soft - soft.detach())
 }
 
-/// Returns for each listener the share of its physically possible edges to other agents that are
-/// open, `[B, N]`, without gradient; 0 if none is possible. Both arguments are `[B, N, N]`.
-pub fn edge_rate(graph: &Tensor, physical: &Tensor) -> Tensor {
+/// Returns for each listener how many of its edges to other agents are open and how many are
+/// physically possible, `[B, N, 2]`, without gradient. Both arguments are `[B, N, N]`.
+pub fn count_edges(graph: &Tensor, physical: &Tensor) -> Tensor {
     tch::no_grad(|| {
         let physical = physical.to_kind(Kind::Float);
         let others = |x: &Tensor| x.sum_dim_intlist(-1, false, Kind::Float) - x.diagonal(0, 1, 2);
-        others(&(graph * &physical)) / others(&physical).clamp_min(1.0)
+        Tensor::stack(&[others(&(graph * &physical)), others(&physical)], -1)
     })
 }
 
@@ -187,17 +187,17 @@ mod tests {
     }
 
     #[test]
-    fn the_edge_rate_counts_possible_edges_between_different_agents() {
+    fn only_possible_edges_between_different_agents_are_counted() {
         let graph =
             Tensor::from_slice(&[1_f32, 1.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0]).view([1, 3, 3]);
         let physical =
             Tensor::from_slice(&[1_f32, 1.0, 1.0, 1.0, 1.0, 0.0, 1.0, 0.0, 1.0]).view([1, 3, 3]);
         // Possible edges: 0-1, 0-2, 1-0, 2-0; open: 0-1. Edge 1-2 is open but not possible.
-        let rates = |physical: &Tensor| {
-            Vec::<f32>::try_from(edge_rate(&graph, physical).view([-1])).expect("numbers")
+        let counts = |physical: &Tensor| {
+            Vec::<f32>::try_from(count_edges(&graph, physical).view([-1])).expect("numbers")
         };
-        assert_eq!(rates(&physical), [0.5, 0.0, 0.0]);
-        assert_eq!(rates(&physical.zeros_like()), [0.0; 3]);
+        assert_eq!(counts(&physical), [1.0, 2.0, 0.0, 1.0, 0.0, 1.0]);
+        assert_eq!(counts(&physical.zeros_like()), [0.0; 6]);
     }
 
     #[test]
