@@ -67,7 +67,7 @@ impl Networks for ExIwol {
             head: GaussianHead::of_actor(builder, message + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
             trained: iwol.lambda_world > 0.0,
-            critic: MessageCritic::new(builder.of(CRITIC), &spec.observation, network, iwol),
+            critic: MessageCritic::new(builder.of(CRITIC), spec, network, iwol),
         }
     }
 

@@ -132,12 +132,7 @@ impl Networks for ImIwol {
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         Self {
             policy: LatentPolicy::new(spec, settings, builder),
-            critic: MessageCritic::new(
-                builder.of(CRITIC),
-                &spec.observation,
-                &settings.network,
-                &settings.iwol,
-            ),
+            critic: MessageCritic::new(builder.of(CRITIC), spec, &settings.network, &settings.iwol),
         }
     }
 

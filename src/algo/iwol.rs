@@ -43,4 +43,7 @@ pub struct Iwol {
     /// beginning of training, and learning closes some of them; with 0 (released) about half of
     /// them are open. `graph/edge_rate` in `metrics.jsonl` says how many are.
     pub graph_bias: f64,
+    /// Whether the value function also reads the privileged state, as those of the other methods do.
+    /// Otherwise it reads local observations and messages only (paper). The policy reads neither.
+    pub privileged_value: bool,
 }

@@ -12,8 +12,8 @@ use super::encoder::Encoder;
 use super::networks::HEADS;
 use super::scene::{Messages, Scene};
 use super::settings::{Iwol, Network};
-use crate::env::Features;
-use crate::nn::{CommGraph, GraphTransformer, Init, Linear, Packing, Path};
+use crate::env::{EnvSpec, Features};
+use crate::nn::{CommGraph, GraphTransformer, Init, Linear, Mlp, Packing, Path};
 
 /// The message path: from the observations of all agents to embeddings f and messages m.
 #[derive(Debug)]
@@ -103,28 +103,25 @@ impl MessageTrunk {
 }
 
 /// A critic on the message path: V(m, f) from local observations and messages only (paper:
-/// decentralised value).
+/// decentralised value), or V(m, f, s) if the settings say so, with the agent's own view of the
+/// privileged state.
 #[derive(Debug)]
 pub(super) struct MessageCritic {
     trunk: MessageTrunk,
+    state: Option<Mlp>,
     value: Linear,
 }
 
 impl MessageCritic {
-    pub(super) fn new(
-        mut path: Path<'_>,
-        features: &Features,
-        network: &Network,
-        iwol: &Iwol,
-    ) -> Self {
+    pub(super) fn new(mut path: Path<'_>, spec: &EnvSpec, network: &Network, iwol: &Iwol) -> Self {
+        let hidden = network.hidden;
+        let known = spec.state.len() as i64;
+        let state = iwol.privileged_value.then(|| Mlp::new(path.sub("state"), known, hidden));
+        let read = iwol.message + hidden + if state.is_some() { hidden } else { 0 };
         Self {
-            trunk: MessageTrunk::new(path.sub("trunk"), features, network, iwol),
-            value: Linear::new(
-                path.sub("value"),
-                iwol.message + network.hidden,
-                1,
-                Init::Orthogonal(1.0),
-            ),
+            trunk: MessageTrunk::new(path.sub("trunk"), &spec.observation, network, iwol),
+            state,
+            value: Linear::new(path.sub("value"), read, 1, Init::Orthogonal(1.0)),
         }
     }
 
@@ -134,9 +131,17 @@ impl MessageCritic {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
         let edges = shard.edge_rate(&messages.graph, &scene.comm);
-        let [values, message] =
-            shard.unpacked(&messages.packing, [&self.head(&messages), &messages.message]);
-        (values, message, edges)
+        let Some(state) = &self.state else {
+            let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
+            let value = self.value.forward(&read).squeeze_dim(-1);
+            let [values, message] = shard.unpacked(&messages.packing, [&value, &messages.message]);
+            return (values, message, edges);
+        };
+        let both = [&messages.message, &messages.embedding];
+        let [message, embedding] = shard.unpacked(&messages.packing, both);
+        let state = state.forward(&shard.active(&batch.state));
+        let values = self.value.forward(&Tensor::cat(&[&message, &embedding, &state], -1));
+        (values.squeeze_dim(-1), message, edges)
     }
 
     /// Returns the messages at one decision, over the most likely graph, `[E, N, D]`; `None` where
@@ -149,15 +154,18 @@ impl MessageCritic {
         (self.trunk.memory() == 0).then(messages)
     }
 
-    fn head(&self, messages: &Messages) -> Tensor {
-        self.value
-            .forward(&Tensor::cat(&[&messages.message, &messages.embedding], -1))
-            .squeeze_dim(-1)
-    }
-
-    /// Returns the values (normalised) of all agents, `[rows, N]`.
-    fn rows(&self, messages: &Messages) -> Tensor {
-        messages.packing.unpack(&self.head(messages).unsqueeze(-1)).squeeze_dim(-1)
+    /// Returns the values (normalised) of all agents, `[rows, N]`, from their messages and the
+    /// privileged `state: [rows, N, S]`.
+    fn rows(&self, messages: &Messages, state: &Tensor) -> Tensor {
+        let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
+        let values = match &self.state {
+            None => messages.packing.unpack(&self.value.forward(&read)),
+            Some(mlp) => {
+                let read = messages.packing.unpack(&read);
+                self.value.forward(&Tensor::cat(&[&read, &mlp.forward(state)], -1))
+            }
+        };
+        values.squeeze_dim(-1)
     }
 }
 
@@ -167,17 +175,19 @@ impl ValueFunction for MessageCritic {
     }
 
     /// Returns the values over the most likely graph.
-    fn value(&self, input: &Observation, _state: &Tensor) -> Option<Tensor> {
-        (self.trunk.memory() == 0).then(|| self.rows(&self.trunk.forward(&Scene::of(input, None))))
+    fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
+        let messages = || self.trunk.forward(&Scene::of(input, None));
+        (self.trunk.memory() == 0).then(|| self.rows(&messages(), state))
     }
 
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         if self.trunk.memory() > 0 {
             let messages =
                 self.trunk.forward(&Scene::of_batch(batch, length, memory, &batch.value_graph));
-            return (self.rows(&messages), messages.memory);
+            return (self.rows(&messages, &batch.state), messages.memory);
         }
         let whole = Scene::of_batch(batch, 1, memory, &batch.value_graph);
-        (whole.in_parts(&batch.keep, |scene, _| self.rows(&self.trunk.forward(scene))), None)
+        let part = |scene: &Scene, state: &Tensor| self.rows(&self.trunk.forward(scene), state);
+        (whole.in_parts(&batch.state, part), None)
     }
 }

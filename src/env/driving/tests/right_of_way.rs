@@ -36,6 +36,8 @@ fn agents_observe_what_the_rule_goes_by() {
     };
     let [free, slow, blocked, entry] =
         ["free", "free_slow", "free_blocked", "to_entry_near"].map(named);
+    let [gap, closing, leads] =
+        ["leader.gap_far", "leader.relative_speed", "leader.present"].map(named);
     let (width, mut actions, mut observed) = (task.spec.observation.len(), [0.0; 8], [0; 2]);
     for _ in 0..600 {
         world.pursue(Pursuit { speed: 6.0, gives_way: true }, &mut actions);
@@ -47,12 +49,19 @@ fn agents_observe_what_the_rule_goes_by() {
             // any greater distance.
             let below = |x: f64, least: f64| x < least - 1e-4;
             let above = |x: f64, least: f64| x > least + 1e-4;
+            let leader = view.speed + 10.0 * f64::from(seen[closing]);
+            let behind = match seen[leads] {
+                0.0 => f64::INFINITY,
+                _ => 50.0 * f64::from(seen[gap]) + leader * leader / 12.0,
+            };
             let outside = seen[entry] >= 0.0 && below(at(entry), braking);
             let something = at(free).min(at(slow)) < 15.0;
-            let waits =
-                below(at(free), braking + 4.0) || below(at(blocked), 4.0) || outside && something;
+            let waits = below(at(free).min(behind), braking + 4.0)
+                || below(at(blocked), 4.0)
+                || outside && something;
             let entered = seen[entry] < 0.0 || above(at(entry), braking);
-            let drives = above(at(free), braking + 4.0) && above(at(blocked), 4.0) && entered;
+            let drives =
+                above(at(free).min(behind), braking + 4.0) && above(at(blocked), 4.0) && entered;
             assert!(!waits || actions[i] == -1.0, "{seen:?}");
             assert!(!drives || actions[i] > -1.0, "{seen:?}");
             observed[0] += usize::from(drives);
