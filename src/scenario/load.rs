@@ -10,7 +10,7 @@ use super::reader::{Element, MAX_BYTES, Reader, document, text};
 use super::{
     AgentRange, Communication, Control, Demand, DemandPlan, Error, Intention, Jitter, LaneChange,
     Net, Observation, Occlusion, PlaceDeparture, Reward, Route, Scenario, SpawnRow, Termination,
-    Traffic, Vehicle, check,
+    Traffic, Vehicle, VehicleVariant, check,
 };
 use crate::sumo::net::{CARS, NetError, did_you_mean, nearest, shorten};
 
@@ -137,6 +137,7 @@ impl Reader<'_, '_> {
             agents: agents(root, &nets)?,
             routes,
             vehicle: part::<Vehicle>(root, "vehicle")?,
+            kinds: kinds(root)?,
             jitter: match root.child("jitter") {
                 Some(jitter) => Jitter::read(&jitter, "")?,
                 None if nets.iter().all(|net| net.spawns.is_empty()) => Jitter::default(),
@@ -296,6 +297,54 @@ fn row(
     })
 }
 
+fn kinds(root: &Element) -> Result<Vec<VehicleVariant>, Error> {
+    let element = require(root, "vehicle")?;
+    let largest = Vehicle::read(&element, "")?;
+    let (mut kinds, mut shares): (Vec<VehicleVariant>, f64) = (Vec::new(), 0.0);
+    for child in element.children("kind") {
+        let kind = VehicleVariant::read(&child, "")?;
+        let refuse = |key, allowed: String| Err(child.reader.value(child.node, key, allowed));
+        if kinds.iter().any(|known| known.id == kind.id) {
+            return Err(child.reader.duplicate(child.node, "kind"));
+        }
+        shares += kind.share;
+        if shares > 1.0 + 1e-9 {
+            return refuse("share", "shares that sum up to at most 1".into());
+        }
+        for (key, own, most) in [
+            ("length", kind.length, largest.length),
+            ("width", kind.width, largest.width),
+            ("maxSpeed", kind.max_speed, largest.max_speed),
+        ] {
+            if own > most {
+                return refuse(key, format!("at most {most}, the value of <vehicle>"));
+            }
+        }
+        is_braking_curve(&child, &kind.brake)?;
+        kinds.push(kind);
+    }
+    if !kinds.is_empty()
+        && root.child("control").is_some_and(|c| c.attribute("mode") == Some("steering"))
+    {
+        let first = element.children("kind").next();
+        let message = "<kind> is not allowed with mode `steering` of <control>".to_owned();
+        return Err(root.reader.invalid(first.map_or(0, |kind| kind.node.range().start), message));
+    }
+    Ok(kinds)
+}
+
+/// Checks the attribute `brake` of an element.
+fn is_braking_curve(element: &Element, curve: &[(f64, f64)]) -> Result<(), Error> {
+    let positive = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
+    let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
+    let limited = curve.last().is_some_and(|last| last.0 == 1.0 && last.1 <= 1e9);
+    if positive && ascending && limited {
+        return Ok(());
+    }
+    let allowed = "pairs magnitude:deceleration with numbers above 0, magnitudes that ascend to 1, and decelerations that do not decrease";
+    Err(element.reader.value(element.node, "brake", allowed))
+}
+
 fn control(root: &Element) -> Result<Control, Error> {
     let element = require(root, "control")?;
     let control = Control::read(&element, "")?;
@@ -319,16 +368,7 @@ fn control(root: &Element) -> Result<Control, Error> {
     if (milliseconds - milliseconds.round()).abs() >= 1e-6 {
         return refuse("interval", "a multiple of 0.001 from 0.001 to 10");
     }
-    let curve = &control.brake;
-    let positive = curve.first().is_some_and(|&(m, d)| m > 0.0 && d > 0.0);
-    let ascending = curve.windows(2).all(|w| w[0].0 < w[1].0 && w[0].1 <= w[1].1);
-    let limited = curve.last().is_some_and(|last| last.0 == 1.0 && last.1 <= 1e9);
-    if !(positive && ascending && limited) {
-        return refuse(
-            "brake",
-            "pairs magnitude:deceleration with numbers above 0, magnitudes that ascend to 1, and decelerations that do not decrease",
-        );
-    }
+    is_braking_curve(&element, &control.brake)?;
     Ok(control)
 }
 
@@ -389,6 +429,7 @@ mod tests {
             "agents" => names::<AgentRange>(&[]),
             "route" => names::<Route>(&[]),
             "vehicle" => names::<Vehicle>(&[]),
+            "kind" => names::<VehicleVariant>(&[]),
             "jitter" => names::<Jitter>(&[]),
             "control" => names::<Control>(&["mode"]),
             "steering" => names::<Steering>(&[]),

@@ -29,8 +29,9 @@ pub use demand::{
 pub use error::{Error, Place};
 pub use finding::{Finding, Severity};
 pub use model::{
-    AgentRange, Border, Communication, Control, FileTime, Jitter, LaneChange, Net, PlaceDeparture,
-    Reward, Route, Scenario, SpawnPlace, SpawnRow, Steering, Termination, Traffic, Vehicle,
+    AgentRange, Border, Communication, Control, FileTime, Jitter, Kind as VehicleVariant,
+    LaneChange, Net, PlaceDeparture, Reward, Route, Scenario, SpawnPlace, SpawnRow, Steering,
+    Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
 pub use occlusion::{Occlusion, Polygon};

@@ -26,6 +26,8 @@ pub struct Scenario {
     pub routes: Vec<Route>,
     /// Size and top speed of the agents' vehicle.
     pub vehicle: Vehicle,
+    /// Further kinds of vehicles that agents may have.
+    pub kinds: Vec<Kind>,
     /// Random displacement of vehicles from their spawn places.
     pub jitter: Jitter,
     /// How actions move a vehicle.
@@ -160,6 +162,28 @@ element! {
         pub width: f64,
         /// Top speed \[m/s\].
         pub max_speed: f64,
+    }
+}
+
+element! {
+    /// A kind of vehicle that an agent at a spawn place may have, no larger and no faster than
+    /// [`Scenario::vehicle`].
+    #[derive(Debug, Clone, PartialEq)]
+    pub struct Kind {
+        /// Name, unique in the scenario.
+        pub id: String,
+        /// Probability that an agent has this kind, above 0 to 1.
+        pub share: f64,
+        /// Length of the body \[m\].
+        pub length: f64,
+        /// Width of the body \[m\].
+        pub width: f64,
+        /// Top speed \[m/s\].
+        pub max_speed: f64,
+        /// Acceleration at full throttle \[m/s²\].
+        pub accel: f64,
+        /// Braking curve, as [`Control::brake`].
+        pub brake: Vec<(f64, f64)>,
     }
 }
 

@@ -44,7 +44,10 @@ impl Scenario {
                 });
             }
         });
-        root.fields("vehicle", &self.vehicle);
+        root.element("vehicle", |tag| {
+            self.vehicle.write(tag, "");
+            self.kinds.iter().for_each(|kind| tag.fields("kind", kind));
+        });
         if self.jitter != Jitter::default() || self.nets.iter().any(|net| !net.spawns.is_empty()) {
             root.fields("jitter", &self.jitter);
         }

@@ -21,6 +21,7 @@ use iwol_sumo::{
         AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange,
         Lidar, NeighbourOrder, Net, Observation, ObservationGroups, Occlusion, PlaceDeparture,
         Reward, Route, Scenario, Severity, SpawnRow, Steering, Termination, Traffic, Vehicle,
+        VehicleVariant,
     },
     sumo::{
         Hosting,
@@ -426,6 +427,10 @@ prop_compose! {
             nets,
             routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: false, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
+            kinds: (0..counts[2] % 3).map(|k| VehicleVariant {
+                id: format!("kind{k}"), share: 0.3, length: p[0] * share, width: p[1] * share, max_speed: p[2] * share,
+                accel: p[3], brake: vec![(0.5, p[4]), (1.0, p[4] + 1.0)],
+            }).collect(),
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
             control: Control {
                 interval: f64::from(milliseconds) / 1000.0, accel: p[5], drag: p[6], brake,

@@ -110,6 +110,8 @@ pub(crate) struct Slot {
     pub(crate) next_signal: Option<NextSignal>,
     /// Steps for which an agent keeps its lane after a lane change.
     pub(crate) lane_steps: u32,
+    /// Kind of an agent's vehicle, an index into the task's abilities.
+    pub(crate) kind: usize,
     /// SUMO's vehicle class of an agent.
     pub(crate) class: &'static str,
     /// How the agent's episode has ended.

@@ -96,7 +96,7 @@ fn drive(
     slot: &mut Slot,
     commands: &mut Vec<Command>,
 ) {
-    let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
+    let (control, vehicle) = &task.abilities[slot.kind];
     let action = |k: usize| {
         let action = f64::from(actions[k]);
         if action.is_nan() { 0.0 } else { action.clamp(-1.0, 1.0) }

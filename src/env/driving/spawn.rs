@@ -4,7 +4,7 @@
 use super::agents::{Slot, Status};
 use super::geometry::Pose;
 use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
-use super::task::{AGENT_TYPE, Driver, SUMO_TYPE, Task};
+use super::task::{Driver, Task};
 use super::vehicle::longitudinal;
 use super::vehicle::tyres::Motion;
 use crate::rng::{self, Rng};
@@ -33,6 +33,8 @@ pub(super) struct Placed {
 struct Agent {
     slot: usize,
     placed: Placed,
+    /// Kind of the vehicle, an index into the task's abilities.
+    kind: usize,
     /// Offset from the route's path, positive to the left \[m\].
     lateral: f64,
 }
@@ -85,7 +87,8 @@ impl Spawned {
         for place in (0..drawn).filter(|&i| present[i]) {
             let placed = draw(place, rng);
             let lateral = rng::symmetric(rng) * task.scenario.jitter.lateral;
-            pending.push(Agent { slot: pending.len(), placed, lateral });
+            let kind = draw_kind(task, rng);
+            pending.push(Agent { slot: pending.len(), placed, kind, lateral });
         }
         let others = task.starting..task.starting + task.placed;
         let others = others.map(|place| present[place].then(|| draw(place, rng))).collect();
@@ -118,6 +121,20 @@ impl Spawned {
     }
 }
 
+/// Draws the kind of an agent's vehicle, an index into the task's abilities.
+fn draw_kind(task: &Task, rng: &mut Rng) -> usize {
+    let kinds = &task.scenario.kinds;
+    if kinds.is_empty() {
+        return 0;
+    }
+    let mut left = rng::uniform(rng);
+    let hit = kinds.iter().position(|kind| {
+        left -= kind.share;
+        left < 0.0
+    });
+    hit.map_or(0, |kind| kind + 1)
+}
+
 /// Returns for each of the `places`, in their order, whether a vehicle is there: the first `drawn`
 /// are agents, of which at least one is there.
 fn presence(task: &Task, places: &[usize], drawn: usize, rng: &mut Rng) -> Vec<bool> {
@@ -135,7 +152,7 @@ impl Agent {
     /// Returns the step in which the agent would arrive if nobody else were there, at full throttle.
     fn alone_arrival(&self, task: &Task) -> u32 {
         let Placed { route, pos, mut speed, time, immediate } = self.placed;
-        let (control, vehicle) = (&task.scenario.control, &task.scenario.vehicle);
+        let (control, vehicle) = &task.abilities[self.kind];
         // A vehicle that departs later is on the road one step after its time.
         let entered =
             if immediate { 0 } else { ((time - MARGIN) / control.interval).ceil() as u32 + 1 };
@@ -158,11 +175,13 @@ impl Agent {
         commands: &mut Vec<Command>,
     ) {
         let (at, Placed { route, pos, speed, immediate, .. }) = (self.slot as u32, self.placed);
-        let (vehicle_type, mode) =
-            if driver == Driver::Sumo { (SUMO_TYPE, SUMO_CHECKS) } else { (AGENT_TYPE, NO_CHECKS) };
+        let vehicle_type = Task::type_of_kind(driver, self.kind);
+        let mode = if driver == Driver::Sumo { SUMO_CHECKS } else { NO_CHECKS };
+        let vehicle = task.abilities[self.kind].1;
+        let speed = speed.min(vehicle.max_speed);
         let path = &task.map.routes[route].path;
         let s = path.arc(0, pos).unwrap_or(pos);
-        let front = path.ahead(pos, task.scenario.vehicle.length / 2.0);
+        let front = path.ahead(pos, vehicle.length / 2.0);
         let (point, heading) = path.at(s);
         let pose = Pose::beside(point, heading, self.lateral);
         *slot = Slot {
@@ -170,7 +189,8 @@ impl Agent {
             route,
             assigned: route,
             class: CARS,
-            size: [task.scenario.vehicle.length, task.scenario.vehicle.width],
+            kind: self.kind,
+            size: [vehicle.length, vehicle.width],
             pose,
             before: pose,
             motion: Motion::driving(pose, speed),

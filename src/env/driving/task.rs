@@ -11,7 +11,7 @@ use super::{observation, state};
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
     Control, Demand, Finish, LaneChange, PlannedDeparture, PlannedSource, Scenario, Source,
-    Spacing, SpawnPlace, Start, VehicleKind,
+    Spacing, SpawnPlace, Start, Vehicle, VehicleKind, VehicleVariant,
 };
 use crate::sumo::{
     BackgroundTraffic, Departure, Dropped, Hosting, Route, SimulationConfig, VehicleType,
@@ -51,6 +51,9 @@ pub struct Task {
     /// Least number of agents that start at spawn places: each episode has a random number from
     /// this one to [`Task::starting`].
     pub fewest: usize,
+    /// Control and vehicle of each kind of agents' vehicles: first those of the scenario, then those
+    /// of its kinds.
+    pub(crate) abilities: Vec<(Control, Vehicle)>,
     /// Spawn places, at least as many as vehicles that start at spawn places.
     pub places: Vec<SpawnPlace>,
     /// The net and the routes.
@@ -114,6 +117,7 @@ impl Task {
             placed: (placed - starting) as usize,
             starting: starting as usize,
             fewest: starting as usize,
+            abilities: abilities(&scenario),
             places: choice.places().collect(),
             map,
             demand,
@@ -259,15 +263,26 @@ impl Task {
     pub(super) fn demand_type(&self, kind: usize) -> (u32, Size) {
         let VehicleKind { length, width, .. } = self.demand.types[kind];
         let ours = if self.has_flow() { self.demand.types.len() } else { 0 };
-        (SUMO_TYPE + 1 + (ours + kind) as u32, [length, width])
+        (self.first_type_of_files() + (ours + kind) as u32, [length, width])
     }
 
     /// Returns the same as [`Task::demand_type`] for an agent: a type with the size and class of
     /// that type and the abilities of agents, or that type itself where SUMO drives.
     pub(super) fn agent_type(&self, driver: Driver, kind: usize) -> (u32, Size) {
         let (index, size) = self.demand_type(kind);
-        let ours = SUMO_TYPE + 1 + kind as u32;
+        let ours = self.first_type_of_files() + kind as u32;
         (if driver == Driver::Sumo { index } else { ours }, size)
+    }
+
+    /// Returns the index in SUMO's list of the type of an agent with this kind of vehicle, an index
+    /// into [`Task::abilities`].
+    pub(super) fn type_of_kind(driver: Driver, kind: usize) -> u32 {
+        2 * kind as u32 + if driver == Driver::Sumo { SUMO_TYPE } else { AGENT_TYPE }
+    }
+
+    /// Returns the index in SUMO's list of the first type that comes from route files.
+    fn first_type_of_files(&self) -> u32 {
+        2 * self.abilities.len() as u32
     }
 
     /// Returns whether vehicles of a vehicle or flow of the route files may be agents.
@@ -302,20 +317,34 @@ impl Task {
 
     /// Returns what a simulation of `worlds` worlds of this task needs to start.
     pub fn simulation_config(&self, seed: u64, worlds: u32, hosting: &Hosting) -> SimulationConfig {
-        let (vehicle, control) = (&self.scenario.vehicle, &self.scenario.control);
-        let hardest = control.brake.last().map_or(control.drag, |point| point.1);
-        let vehicle_type = |id: &str, min_gap: f64| VehicleType {
-            id: id.to_owned(),
-            length: vehicle.length,
-            width: vehicle.width,
-            class: None,
-            max_speed: vehicle.max_speed,
-            accel: control.accel,
-            decel: hardest.min(4.5),
-            emergency_decel: hardest,
-            min_gap,
-            tau: 1.0,
+        let control = &self.scenario.control;
+        let of_kind = |kind: usize, id: &str, min_gap: f64| {
+            let (control, vehicle) = &self.abilities[kind];
+            let hardest = control.brake.last().map_or(control.drag, |point| point.1);
+            VehicleType {
+                id: id.to_owned(),
+                length: vehicle.length,
+                width: vehicle.width,
+                class: None,
+                max_speed: vehicle.max_speed,
+                accel: control.accel,
+                decel: hardest.min(4.5),
+                emergency_decel: hardest,
+                min_gap,
+                tau: 1.0,
+            }
         };
+        let vehicle_type = |id: &str, min_gap: f64| of_kind(0, id, min_gap);
+        // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a gap,
+        // but one that is small enough for vehicles to depart from neighbouring places under the
+        // largest jitter.
+        let own_types = (0..self.abilities.len()).flat_map(|kind| {
+            let suffix =
+                kind.checked_sub(1).map(|kind| format!(":{}", self.scenario.kinds[kind].id));
+            let suffix = suffix.unwrap_or_default();
+            let named = |name: &str, min_gap| of_kind(kind, &format!("{name}{suffix}"), min_gap);
+            [named("agent", 0.0), named("sumo_driver", 1.0)]
+        });
         let kinds = self.demand.types.iter().filter(|_| self.has_flow());
         SimulationConfig {
             net: self.map.net_file().to_owned(),
@@ -327,11 +356,7 @@ impl Task {
             timeout: hosting.timeout,
             audit: hosting.audit,
             traffic_lights: self.map.traffic_lights.lights.iter().map(|l| l.id.clone()).collect(),
-            // Agents may spawn as close to each other as the places allow. SUMO's driver keeps a
-            // gap, but one that is small enough for vehicles to depart from neighbouring places
-            // under the largest jitter.
-            vehicle_types: [vehicle_type("agent", 0.0), vehicle_type("sumo_driver", 1.0)]
-                .into_iter()
+            vehicle_types: own_types
                 .chain(kinds.map(|kind| VehicleType {
                     length: kind.length,
                     width: kind.width,
@@ -419,6 +444,16 @@ impl Task {
             names: departures.iter().chain(agents).map(name).collect(),
         }
     }
+}
+
+/// Returns control and vehicle of each kind of agents' vehicles.
+fn abilities(scenario: &Scenario) -> Vec<(Control, Vehicle)> {
+    let kinds = scenario.kinds.iter().map(|kind| {
+        let VehicleVariant { length, width, max_speed, accel, .. } = *kind;
+        let control = Control { accel, brake: kind.brake.clone(), ..scenario.control.clone() };
+        (control, Vehicle { length, width, max_speed })
+    });
+    std::iter::once((scenario.control.clone(), scenario.vehicle)).chain(kinds).collect()
 }
 
 /// Factor on the noise of the action dimension that asks for a lane. With the noise of the throttle,

@@ -19,14 +19,18 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let (mut priorities, mut blocked) = (Vec::new(), Vec::new());
     let knowledge = Knowledge::full(&task.map.routes, traffic);
     inherit(knowledge, &mut priorities, &mut blocked);
+    let hardest = |slot: &Slot| {
+        let control = &task.abilities[slot.kind].0;
+        control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING)
+    };
     let control = &task.scenario.control;
-    let brakes = control.brake.last().map_or(control.accel, |(_, brakes)| *brakes).min(BRAKING);
     let gives_way = |(slot, own): (usize, &Slot)| {
+        let brakes = hardest(own);
         let seen = |space: Free, j| space.min(free(knowledge, &priorities, slot, j));
         let mut space = (0..priorities.len()).fold(Free::ALL, seen);
         for j in (0..priorities.len()).filter(|&j| j != slot) {
             let before = before_strip(knowledge, &priorities, slot, j);
-            let behind = behind_leader(knowledge, slot, j, brakes);
+            let behind = behind_leader(knowledge, slot, j, hardest(&traffic.slots[j]));
             space.distance = space.distance.min(before).min(behind);
         }
         let braking = own.speed * own.speed / (2.0 * brakes);
@@ -47,8 +51,8 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
 }
 
 /// Returns how far the vehicle of `slot` can drive if the vehicle of slot `j`, which is ahead of it,
-/// brakes as hard as it can (Gipps, Transportation Research B 1981) \[m\]; infinite if that vehicle
-/// is not ahead. `brakes` is the deceleration of both \[m/s²\].
+/// brakes with the deceleration `brakes` \[m/s²\] (Gipps, Transportation Research B 1981) \[m\];
+/// infinite if that vehicle is not ahead.
 fn behind_leader(knowledge: Knowledge<'_>, slot: usize, j: usize, brakes: f64) -> f64 {
     let [own, other] = [slot, j].map(|slot| &knowledge.traffic.slots[slot]);
     let route = &knowledge.routes[own.route];

@@ -19,6 +19,14 @@ const CLOCK: [Described; 1] = [("time", "share of the horizon that has passed", 
 const TURN: [Described; 2] =
     [("turns_left", "flag: at the next junction", 0.0, 1.0), ("turns_right", "flag", 0.0, 1.0)];
 
+/// In scenarios with several kinds of vehicles.
+const KIND: [Described; 4] = [
+    ("length", "20 m", 0.0, 1.0),
+    ("max_speed", "22.2 m/s", 0.0, 1.0),
+    ("accel", "5 m/s²", 0.0, 1.0),
+    ("brake", "15 m/s², hardest", 0.0, 1.0),
+];
+
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let settings = &scenario.observation;
@@ -26,7 +34,8 @@ pub const GROUP: FeatureGroup = FeatureGroup {
         let heading = part(settings.heading, &HEADING);
         let clock = part(settings.clock, &CLOCK);
         let turn = part(settings.own_turn, &TURN);
-        features.push("ego", 1, &[&MOTION, heading, &PLACE, clock, turn].concat());
+        let kind = part(!scenario.kinds.is_empty(), &KIND);
+        features.push("ego", 1, &[&MOTION, heading, &PLACE, clock, turn, kind].concat());
     },
     write,
 };
@@ -53,5 +62,14 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
         let mut passages = view.map.forks.passages[own.route].iter();
         let next = passages.find(|passage| passage.to >= own.s).map(|passage| passage.indicator);
         w.put([Indicator::Left, Indicator::Right].map(|turn| f64::from(next == Some(turn))));
+    }
+    if let Some((control, vehicle)) = view.abilities() {
+        let hardest = control.brake.last().map_or(control.drag, |point| point.1);
+        w.put([
+            vehicle.length / 20.0,
+            vehicle.max_speed / SPEED,
+            control.accel / 5.0,
+            hardest / 15.0,
+        ]);
     }
 }

@@ -5,7 +5,7 @@ use crate::env::driving::intention::Knowledge;
 use crate::env::driving::map::Map;
 use crate::env::driving::routes::RouteGeometry;
 use crate::env::spec::{Described, Features};
-use crate::scenario::Scenario;
+use crate::scenario::{Control, Scenario, Vehicle};
 
 /// Speed scale \[m/s\].
 pub const SPEED: f64 = 22.2;
@@ -67,9 +67,16 @@ pub struct View<'a> {
     pub time_left: f64,
     /// Slot of the agent.
     pub slot: usize,
+    /// Control and vehicle of each kind of vehicle; of the scenario alone if it has no kinds.
+    pub kinds: &'a [(Control, Vehicle)],
 }
 
 impl<'a> View<'a> {
+    /// Returns control and vehicle of the agent, if there are several kinds of vehicles.
+    pub fn abilities(&self) -> Option<&'a (Control, Vehicle)> {
+        (self.kinds.len() > 1).then(|| &self.kinds[self.own().kind])
+    }
+
     /// Returns the distance scales of the scenario's features.
     pub fn scales(&self) -> Scales {
         Scales::of(self.scenario)

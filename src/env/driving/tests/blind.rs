@@ -219,3 +219,42 @@ fn an_agent_knows_of_itself_what_the_scenario_says() {
         ["ego.time", "ego.turns_left"].iter().all(|new| other.iter().any(|n| n.starts_with(new)))
     );
 }
+
+#[test]
+fn agents_drive_and_know_their_own_kind_of_vehicle() {
+    let scenario = scenario("blind_crossing");
+    let task = Arc::new(Task::new(&scenario, 4).expect("a task"));
+    let o = task.spec.observation.len();
+    let (mut world, mut rails) = (world(&task, 3), Rails::new(&task));
+    let (mut counts, car) = ([0; 2], &scenario.kinds[0]);
+    for episode in 0..300 {
+        world.reset(episode);
+        let mut before: [Option<f64>; 4] = [None; 4];
+        for _ in 0..45 {
+            exchange(&mut world, &mut rails, &[1.0; 4]);
+            let slots = &world.traffic().slots;
+            for i in (0..4).filter(|&i| slots[i].status == agents::Status::Active) {
+                let own = &world.frame().observation[i * o..(i + 1) * o];
+                let length = shown(&task.spec.observation.list, own, "ego.length", "")[0];
+                assert_eq!(length, (slots[i].size[0] / 20.0) as f32);
+                let is_car = slots[i].size[0] == car.length;
+                let accel = if is_car { car.accel } else { scenario.control.accel };
+                match before[i] {
+                    None => counts[usize::from(is_car)] += 1,
+                    Some(speed) if speed + accel * 0.2 <= 14.0 => {
+                        assert!((slots[i].speed - speed - accel * 0.2).abs() < 1e-9);
+                    }
+                    Some(_) => {}
+                }
+                before[i] = Some(slots[i].speed);
+            }
+        }
+    }
+    let share = f64::from(counts[1]) / f64::from(counts[0] + counts[1]);
+    assert!((share - 0.7).abs() < 0.06, "{counts:?}");
+    let of_others = |name: &str| {
+        let names = task.spec.observation.list.iter().map(|feature| &feature.name);
+        names.filter(|feature| !feature.starts_with("ego.") && feature.contains(name)).count()
+    };
+    assert_eq!(["length", "accel", "brake"].map(of_others), [0; 3], "others' kinds are private");
+}

@@ -107,7 +107,16 @@ pub(super) fn view<'a>(
     slot: usize,
 ) -> View<'a> {
     let (scenario, map, knowledge) = (&task.scenario, &task.map, knowledge.to(slot));
-    View { scenario, map, traffic, knowledge, priorities, time_left: 1.0, slot }
+    View {
+        scenario,
+        map,
+        traffic,
+        knowledge,
+        priorities,
+        time_left: 1.0,
+        slot,
+        kinds: &task.abilities,
+    }
 }
 
 /// Returns all agents' observations, as a world makes them in the first step of an episode.

@@ -50,6 +50,7 @@ impl World {
             priorities: &self.right_of_way.priorities,
             time_left: 1.0 - f64::from(self.episode.step) / horizon,
             slot: 0,
+            kinds: &task.abilities,
         };
         self.frame.write_views(task, &view, &self.present);
     }
