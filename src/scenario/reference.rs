@@ -9,7 +9,7 @@ pub fn markdown() -> String {
     let mut page = String::from(
         "# Scenario files\n\n\
          Made from `scenarios/scenario.xsd` by `iwol scenario reference`; edit the schema, not this page. `iwol scenario new` \
-         writes a file with all but `<traffic>`, `iwol scenario check` says what is wrong with one.\n\n\
+         writes a file with all but `<occlusion>` and `<traffic>`, `iwol scenario check` says what is wrong with one.\n\n\
          A run can override numbers, words and flags of all elements that occur once, except those of `<agents>`: \
          `--set scenario.observation.neighbours=2`, or `neighbours = 2` in a table `[scenario.observation]` of a settings file.\n\n\
          Lengths are in metres, times in seconds; positions on lanes are those of the vehicle's centre.\n",
