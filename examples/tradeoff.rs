@@ -18,10 +18,21 @@
 //!
 //! Entries are ideal: braking and starting again cost nothing, so that a simulated policy is slower
 //! than these bounds. `cargo run --release --no-default-features --example tradeoff` prints the
-//! curves as CSV.
+//! curves as CSV. With the name of a picture (`.svg` or `.png`) and results of `iwol evaluate --json`,
+//! it also draws the curves of the window of 7 s and the evaluated policies:
+//!
+//! ```text
+//! iwol evaluate runs/a --scenario scenarios/one_lane.xml --json --out a.json
+//! cargo run --release --no-default-features --example tradeoff -- tradeoff.svg a.json
+//! ```
+
+use std::error::Error;
+use std::path::Path;
 
 use rand::RngExt as _;
+use serde_json::Value;
 
+use iwol_sumo::plot::{Panel, Series, Style, figure};
 use iwol_sumo::rng::{self, Rng, Seed};
 
 /// Time from the entry of a vehicle until its rear has left the lane \[s\]: 60 m and the length of a
@@ -111,14 +122,15 @@ fn outcome(demand: Demand, times: &[f64], plans: &[Plan; 2]) -> Outcome {
     Outcome { crash: crashed / vehicles, delay: delay / arrived.max(1e-9) }
 }
 
+/// Returns the times from 0 to `end` \[s\] at which vehicles may arrive or enter.
+fn grid(end: f64) -> Vec<f64> {
+    (0..(end / STEP) as u32).map(|i| (f64::from(i) + 0.5) * STEP).collect()
+}
+
 /// Returns the best plans that the search finds for this price of a crash \[s\].
 fn best_local(demand: Demand, window: f64, lambda: f64, rng: &mut Rng) -> Outcome {
-    let times: Vec<f64> =
-        (0..).map(|i| (f64::from(i) + 0.5) * STEP).take_while(|&time| time < window).collect();
-    let entries: Vec<f64> = (0..)
-        .map(|i| (f64::from(i) + 0.5) * STEP)
-        .take_while(|&t| t < window + 2.0 * TRANSIT)
-        .collect();
+    let times = grid(window);
+    let entries = grid(window + 2.0 * TRANSIT);
     let mut best: Option<(f64, [Plan; 2])> = None;
     for start in 0..STARTS {
         let mut plans = [times.clone(), times.clone()];
@@ -182,18 +194,63 @@ fn full_information(demand: Demand, window: f64, rng: &mut Rng) -> Outcome {
     Outcome { crash: 0.0, delay: demand.both * mean / demand.vehicles() }
 }
 
-fn main() {
+/// Draws curves and points on the plane of crashes and delay.
+fn draw(path: &str, curves: Vec<Series>, results: &[String]) -> Result<(), Box<dyn Error>> {
+    let mut series = curves;
+    for file in results {
+        let found: Value = serde_json::from_str(&std::fs::read_to_string(file)?)?;
+        let list = found.as_array().cloned().unwrap_or_else(|| vec![found]);
+        for result in list {
+            let mean = |metric: &str| result["metrics"][metric]["mean"].as_f64();
+            let (Some(crash), Some(delay)) = (mean("crash"), mean("delay")) else {
+                return Err(format!("`{file}` has no crash and delay of an evaluation").into());
+            };
+            let label = result["policy"].as_str().unwrap_or(file).to_owned();
+            series.push(Series {
+                label,
+                points: vec![(100.0 * crash, delay)],
+                band: Some(vec![(100.0 * crash, delay, delay)]),
+                style: Style::Whiskers,
+            });
+        }
+    }
+    let panel = Panel {
+        title: String::new(),
+        x_label: "agents that crash (%)".to_owned(),
+        y_label: "delay of an agent that arrives (s)".to_owned(),
+        series,
+        ..Panel::default()
+    };
+    Ok(figure(Path::new(path), "A lane for two directions", &[panel], (900, 600))?)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
     let demand = Demand::of(0.8);
+    let mut curves = Vec::new();
     println!("window_s,policy,crash_price_s,crash_percent,delay_s");
     for window in [7.0, 20.0] {
         let mut rng = Seed::new(1).rng();
         let row = |policy: &str, price: &str, Outcome { crash, delay }: Outcome| {
             println!("{window},{policy},{price},{:.2},{delay:.2}", 100.0 * crash);
+            (100.0 * crash, delay)
         };
-        row("full information", "", full_information(demand, window, &mut rng));
-        for lambda in [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 25.0, 50.0, 1000.0] {
-            let found = best_local(demand, window, lambda, &mut rng);
-            row("local", &lambda.to_string(), found);
+        let full = row("full information", "", full_information(demand, window, &mut rng));
+        let mut local = Vec::new();
+        for price in [0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 25.0, 50.0, 1000.0] {
+            let found = best_local(demand, window, price, &mut rng);
+            local.push(row("local", &price.to_string(), found));
         }
+        if curves.is_empty() {
+            local.sort_by(|a, b| a.0.total_cmp(&b.0));
+            local.dedup();
+            curves.push(Series::curve("best without messages (ideal)".to_owned(), local, None));
+            let label = "full information (ideal)".to_owned();
+            curves.push(Series { label, points: vec![full], band: None, style: Style::Whiskers });
+        }
+    }
+    match arguments.split_first() {
+        Some((path, results)) => draw(path, curves, results),
+        None => Ok(()),
     }
 }

@@ -79,8 +79,8 @@ pub(crate) struct Slot {
     pub(crate) held: Option<f64>,
     /// Whether SUMO has put the vehicle on the road.
     pub(crate) departed: bool,
-    /// Whether SUMO put the vehicle on the road in the last step, after the others had moved.
-    pub(crate) is_new: bool,
+    /// Steps since the one in which SUMO put the vehicle on the road, after the others had moved.
+    pub(crate) age: u32,
     /// Step after which the agent was first on the road; 0 for one that starts with the episode.
     pub(crate) entered: u32,
     /// Step in which an agent from a spawn place would arrive if it departed in time and nobody else

@@ -299,7 +299,7 @@ impl Background {
             (slot.s, slot.segment) = (route.on_path(s - half), segment);
             // Pedestrians cut corners, so that their offset says nothing about the path ahead.
             slot.lateral = if route.is_walked() { 0.0 } else { lateral };
-            slot.is_new = !slot.departed;
+            slot.age = if slot.departed { slot.age + 1 } else { 0 };
             if slot.departed {
                 slot.before = match changed {
                     // A lane change takes no time: nobody is between two lanes.

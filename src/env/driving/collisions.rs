@@ -138,7 +138,7 @@ fn overlap_in_step(a: &Slot, b: &Slot) -> bool {
     if a.pose.distance(&b.pose) > reach + travelled {
         return false;
     }
-    let first = if a.is_new || b.is_new { SUBSTEPS } else { 1 };
+    let first = if a.age.min(b.age) == 0 { SUBSTEPS } else { 1 };
     (first..=SUBSTEPS).any(|k| {
         let t = f64::from(k) / f64::from(SUBSTEPS);
         let [at, other] = [a, b].map(|slot| slot.before.towards(&slot.pose, t));
@@ -155,17 +155,17 @@ mod tests {
     #[test]
     fn a_new_vehicle_does_not_collide_with_one_that_has_passed() {
         let at = |x: f64| Pose { x, y: 0.0, heading: 0.0 };
-        let slot = |before: f64, now: f64, is_new: bool| Slot {
+        let slot = |before: f64, now: f64, age: u32| Slot {
             status: Status::Active,
             pose: at(now),
             before: at(before),
             size: [4.5, 1.8],
-            is_new,
+            age,
             ..Slot::default()
         };
-        let passes = slot(17.0, 19.8, false);
-        assert!(!overlap_in_step(&passes, &slot(14.0, 14.0, true)));
-        assert!(overlap_in_step(&passes, &slot(14.0, 14.0, false)), "it was there before");
-        assert!(overlap_in_step(&passes, &slot(16.0, 16.0, true)), "it is in the way");
+        let passes = slot(17.0, 19.8, 5);
+        assert!(!overlap_in_step(&passes, &slot(14.0, 14.0, 0)));
+        assert!(overlap_in_step(&passes, &slot(14.0, 14.0, 1)), "it was there before");
+        assert!(overlap_in_step(&passes, &slot(16.0, 16.0, 0)), "it is in the way");
     }
 }

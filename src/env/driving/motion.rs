@@ -250,7 +250,7 @@ pub(super) fn place(
                 slot.speed = vehicle.speed;
             }
         }
-        slot.is_new = departs;
+        slot.age = if departs { 0 } else { slot.age + 1 };
         if departs {
             (slot.status, slot.entered) = (Status::Active, step);
         }

@@ -9,7 +9,7 @@ use iwol_sumo::evaluate::Policy;
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Error, Sizes, State, Template, build, create};
-use iwol_sumo::scenario::{Scenario, SpawnRow};
+use iwol_sumo::scenario::{PlaceDeparture, Scenario, SpawnRow};
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::{Hosting, Snapshot, VehicleState};
 
@@ -127,7 +127,7 @@ fn on_a_parking_lot_pursuit_leads_from_every_place_to_every_destination() {
                     first: place.pos,
                     spacing: 8.0,
                     count: 1,
-                    departure: Default::default(),
+                    departure: PlaceDeparture::default(),
                 }];
                 let task = Arc::new(Task::new(&scenario, 1).unwrap());
                 for speed in [2.0, 3.0, 4.0] {

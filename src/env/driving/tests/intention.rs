@@ -8,7 +8,7 @@ use super::super::intention::{Intentions, Knowledge};
 use super::super::observation::View;
 use super::super::right_of_way::{assign, inherit};
 use super::*;
-use crate::scenario::{Intention, Lidar, Observation, SpawnRow};
+use crate::scenario::{Intention, Lidar, Observation, PlaceDeparture, SpawnRow};
 
 /// Scenarios with routes that begin alike.
 const FORKED: [&str; 3] = ["intersection_turns_small", "intersection_turns", "parking_lot"];
@@ -237,7 +237,7 @@ proptest! {
             // The straight routes of all arms, then the left turn of the west arm.
             let kept = [3, 6, 9, 0, 1];
             scenario.routes = kept.iter().map(|&route| scenario.routes[route].clone()).collect();
-            let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8, departure: Default::default() };
+            let row = SpawnRow { routes: [0].into(), first: 4.0, spacing: 8.0, count: 8, departure: PlaceDeparture::default() };
             scenario.nets[0].spawns = vec![row];
             Task::new(&scenario, VEHICLES as u32).expect("a task")
         };
