@@ -17,6 +17,7 @@ use crate::stats::Estimate;
 
 use metric::{
     APART, BRAKING, COUNT, FINE, FINE_COUNT, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS,
+    SPEED,
 };
 pub use metric::{Better, Metric, Scale, Shown};
 pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
@@ -183,6 +184,13 @@ metrics! {
             "Agents on the road at the end of an episode. They count as not arrived if they have \
              been there for more than four times the time of their route at the speed limits; otherwise \
              they do not count.";
+        speed: Option<Estimate> = |f| flow(f, LASTED, |f| f.speed),
+            "speed of all vehicles", "speed of all vehicles (m/s)", SPEED, Higher, InFigures,
+            "Mean speed of all vehicles on the road, agents and others. A wreck has the speed 0.";
+        standing: Option<Estimate> = |f| rate(f, LASTED, |f| f.standing),
+            "vehicles that stand", "vehicles that stand (%)", PERCENT, Lower, InFigures,
+            "Share of all vehicles on the road that are slower than 0.1 m/s, in the mean over all \
+             steps.";
     }
     more: {}
 }

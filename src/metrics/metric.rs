@@ -50,6 +50,7 @@ pub(super) const KILOMETRES: Scale = Scale { digits: 2, ..COUNT };
 pub(super) const SECONDS: Scale = Scale { unit: "s", ..COUNT };
 /// A time between two road users.
 pub(super) const APART: Scale = Scale { digits: 3, bounds: (0.0, MAX_TIME_APART), ..SECONDS };
+pub(super) const SPEED: Scale = Scale { unit: "m/s", digits: 2, ..COUNT };
 pub(super) const BRAKING: Scale = Scale { unit: "m/s²", ..COUNT };
 
 impl Scale {

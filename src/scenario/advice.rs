@@ -183,6 +183,8 @@ impl Adviser<'_, '_, '_> {
                 Some((self.time(map, path, path.arc(0, row.first)?, end), id))
             };
             let of_files = map.paths[self.scenario.routes.len()..].iter().zip(&map.of_files);
+            // Vehicles that drive laps are meant to drive until the episode ends.
+            let of_files = of_files.filter(|(path, _)| !path.edges[1..].contains(&path.edges[0]));
             let of_files =
                 of_files.map(|(path, id)| (self.time(map, path, 0.0, path.length()), id.as_str()));
             let placed = net.spawns.iter();

@@ -52,6 +52,7 @@ fn full_throttle() {
     let differences: u32 = audit.differences().iter().map(|(_, pairs)| pairs).sum();
     let only_sumo = audit.sumo_ended
         + audit.sumo_touching
+        + audit.sumo_lateral_offset
         + audit.sumo_bent
         + audit.sumo_metres
         + audit.sumo_other;

@@ -41,7 +41,12 @@ const CONNECTIONS: &str = r#"<connections>
 /// Writes the net and a scenario with agents on routes that begin on the wrong lane; `more` are
 /// attributes of `<control>`, `files` stands before the end of the scenario.
 fn forked(folder: &Path, more: &str, files: &str) -> PathBuf {
-    let sources = [("node", NODES), ("edge", EDGES), ("connection", CONNECTIONS)];
+    forked_at(folder, NODES, more, files)
+}
+
+/// Does the same with these nodes.
+fn forked_at(folder: &Path, nodes: &str, more: &str, files: &str) -> PathBuf {
+    let sources = [("node", nodes), ("edge", EDGES), ("connection", CONNECTIONS)];
     let mut arguments = Vec::new();
     for (kind, text) in sources {
         fs::write(folder.join(format!("fork.{kind}.xml")), text).unwrap();
@@ -259,6 +264,130 @@ fn a_request_ends_on_the_lane_that_it_asks_for() {
         assert!((left - (1.0 - k as f32 / 30.0)).abs() < 1e-5, "{left}");
     }
     assert_eq!(step(back).0, begin, "after 3 s");
+}
+
+/// The privileged state has the vehicles ahead on the agent's lane, whatever routes they are given and
+/// wherever they have changed lanes.
+#[test]
+fn the_state_has_all_vehicles_of_the_lane() {
+    let folder = folder();
+    let task = task(&forked(folder.path(), r#"laneChange="route""#, ""), 4);
+    let names: Vec<_> = task.spec.state.list.iter().map(|feature| feature.name.as_str()).collect();
+    let width = names.len();
+    let at = |name: &str| names.iter().position(|known| *known == name).expect("such a feature");
+    let (ahead, behind) = (at("lane_ahead_0.distance"), at("lane_behind_0.distance"));
+    let mut env = VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
+    let mut compared = [0; 2];
+    for _ in 0..250 {
+        env.step(&[0.3, 0.35, 0.4, 0.45]).expect("a step");
+        let world = env.worlds().next().expect("one world");
+        let agents: Vec<_> = world.agents().collect();
+        // On the two edges before the fork, everybody on a lane has to pass the same lane.
+        let on_road = |k: &usize| agents[*k].driving && agents[*k].pose.x < 380.0;
+        for own in (0..4).filter(on_road) {
+            let others = (0..4)
+                .filter(on_road)
+                .filter(|&k| k != own && (agents[k].pose.y - agents[own].pose.y).abs() < 1.0);
+            let gaps: Vec<f64> = others.map(|k| agents[k].pose.x - agents[own].pose.x).collect();
+            let nearest = |sign: f64| {
+                gaps.iter().map(|gap| sign * gap).filter(|gap| *gap > 0.0).min_by(f64::total_cmp)
+            };
+            for (side, (at, sign)) in [(ahead, 1.0), (behind, -1.0)].into_iter().enumerate() {
+                // Vehicles beyond the fork may be the nearest ones further away.
+                let Some(gap) = nearest(sign).filter(|gap| *gap < 45.0) else { continue };
+                let state = f64::from(world.frame().state[own * width + at]) * 50.0 * sign;
+                assert!((state - gap).abs() < 0.1, "agent {own}: {state} m, not {gap} m");
+                compared[side] += 1;
+            }
+        }
+    }
+    assert!(compared.iter().all(|&count| count > 40), "{compared:?}");
+}
+
+/// Where a lane change leads to another signal, the agent observes that one, and passing it counts
+/// as it does without a lane change.
+#[test]
+fn signals_are_those_of_the_lane_after_a_lane_change() {
+    let folder = folder();
+    let nodes = NODES.replace(r#"y="0"/>"#, r#"y="0" type="traffic_light"/>"#);
+    let file = forked_at(folder.path(), &nodes, r#"laneChange="action""#, "");
+    let net = folder.path().join("fork.net.xml");
+    let text = fs::read_to_string(&net).unwrap();
+    // The first traffic light is always green.
+    let phases = |id: &str| match id {
+        "fork" => {
+            r#"<phase duration="6" state="rG"/><phase duration="5" state="Gr"/><phase duration="4" state="rr"/>"#
+        }
+        _ => r#"<phase duration="60" state="GG"/>"#,
+    };
+    let mut parts = text.split(r#"<tlLogic id=""#);
+    let mut changed = parts.next().unwrap().to_owned();
+    for part in parts {
+        let (from, to) = (part.find("<phase").unwrap(), part.find("</tlLogic>").unwrap());
+        let phases = phases(part.split('"').next().unwrap());
+        changed += &format!(r#"<tlLogic id="{}{phases}{}"#, &part[..from], &part[to..]);
+    }
+    fs::write(&net, changed).unwrap();
+    let task = task(&file, 4);
+    let net = Net::load(&net).unwrap();
+    let line = net.lanes.iter().find(|lane| lane.id == "mid_0").unwrap().shape[1][0];
+    let link = |lane: &str| {
+        let mut all = net.connections.iter().filter(|join| net.lanes[join.from].id == lane);
+        all.find_map(|join| join.signal).expect("a signal").index
+    };
+    let links = [("off", link("mid_0")), ("on", link("mid_1"))];
+    let half = task.scenario.vehicle.length / 2.0;
+    let mut env = VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
+    let (mut red, mut passed, mut seen, mut records) = (0, 0, [0; 2], Vec::new());
+    let mut fronts = [f64::INFINITY; 4];
+    while records.len() < 4 {
+        // They ask for their lanes between the two signals.
+        let world = env.worlds().next().expect("one world");
+        let actions: Vec<f32> = (world.agents())
+            .flat_map(|agent| {
+                let side = if task.map.route_id(agent.route) == "on" { 1.0 } else { -1.0 };
+                [0.5, if agent.pose.x > 215.0 { side } else { 0.0 }]
+            })
+            .collect();
+        env.step(&actions).expect("a step");
+        let world = env.worlds().next().expect("one world");
+        let state = world.traffic_lights().nth(1).expect("two traffic lights").as_bytes();
+        for (own, agent) in world.agents().enumerate() {
+            let front = agent.pose.x + half;
+            let before = std::mem::replace(&mut fronts[own], front);
+            // A new episode begins before the lines.
+            if !agent.driving || agent.pose.x < 210.0 {
+                continue;
+            }
+            // The route needs one of the lanes, wherever the agent is now.
+            let name = task.map.route_id(agent.route);
+            let needed = links.iter().position(|link| link.0 == name).expect("such a route");
+            let letter = state[links[needed].1];
+            if (before..front).contains(&line) {
+                passed += 1;
+                red += usize::from(letter == b'r');
+            }
+            let of = |name: &str| observed(&task, world.frame(), own, &format!("signal.{name}"));
+            if front < line && of("present") > 0.0 {
+                let distance = f64::from(of("to_line_far")) * 50.0;
+                assert!((distance - (line - front).min(50.0)).abs() < 0.01, "{distance} m");
+                assert_eq!(
+                    [of("red"), of("priority")],
+                    [b'r', b'G'].map(|l| f32::from(letter == l))
+                );
+                let is_there = (agent.pose.y > -3.2) == (name == "on");
+                seen[usize::from(is_there)] += 1;
+            }
+            assert!(front < line || of("present") == 0.0, "one line");
+        }
+        records.extend(env.take_finished());
+    }
+    let counted: f64 = records.iter().map(|record| 4.0 * record.red_lights.expect("signals")).sum();
+    assert!((counted - f64::from(red as u32)).abs() < 1e-9, "{counted} counted, {red} of {passed}");
+    assert!(
+        red > 0 && passed > red && seen.iter().all(|&count| count > 50),
+        "{red} {passed} {seen:?}"
+    );
 }
 
 /// Returns a feature of the observation of an agent.

@@ -433,10 +433,11 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
             // SUMO counts from the gap that a vehicle keeps at standstill.
             let theirs = leader.map(|leader| (leader.id, leader.gap + 1.0));
             let gap = f64::from(feature(&task, &world, i, "leader.gap_far")) * 50.0;
-            let ours = Some(gap).filter(|gap| {
-                feature(&task, &world, i, "leader.present") > 0.0 && *gap < RANGE - 5.0
-            });
-            let theirs = theirs.filter(|(_, gap)| *gap < RANGE - 5.0);
+            let ours = Some(gap).filter(|_| feature(&task, &world, i, "leader.present") > 0.0);
+            let agree = ours.zip(theirs.as_ref()).is_some_and(|(a, (_, b))| (a - b).abs() < 1.5);
+            let is_near = |gap: f64| agree || gap < RANGE - 5.0;
+            let ours = ours.filter(|gap| is_near(*gap));
+            let theirs = theirs.filter(|(_, gap)| is_near(*gap));
             let lane = |id: &str| {
                 let lane = snapshot.bodies[id.parse::<usize>().unwrap()].unwrap().lane;
                 lane.map(|lane| lane as usize)
@@ -456,7 +457,7 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
             let path = &task.map.routes[agent.route].path;
             let reason = match (ours, &theirs) {
                 (None, None) => "both see nobody",
-                (Some(a), Some((_, b))) if (a - b).abs() < 1.5 => "the same leader",
+                _ if agree => "the same leader",
                 (_, Some((id, _))) if !lane(id).is_some_and(|lane| path.lanes.contains(&lane)) => {
                     "SUMO's is on a lane that is not the agent's: it crosses, merges or has turned off"
                 }

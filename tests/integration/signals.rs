@@ -162,3 +162,43 @@ fn actuated_programs_are_reproducible() {
     let runs = lengths.chunk_by(|a, b| a == b).filter(|run| run[0].contains('G'));
     assert!(runs.clone().any(|run| run.len() < 150), "the traffic shortens or extends a phase");
 }
+
+/// SUMO's own driver stops where a signal lets vehicles turn right on red after a stop, and then
+/// passes it; who does not stop passes red.
+#[test]
+fn right_turns_on_red_need_a_stop() {
+    let folder = folder();
+    // Right turns are links 0, 3, 6 and 9.
+    let after_stop = [
+        ("state=\"GGgrrrGGgrrr\"", "state=\"GGgsrrGGgsrr\""),
+        ("state=\"rrrGGgrrrGGg\"", "state=\"srrGGgsrrGGg\""),
+    ];
+    let task = changed(folder.path(), &[], &after_stop);
+    let links = [("north_right", 0), ("east_right", 3), ("south_right", 6), ("west_right", 9)];
+    let count = |driver, throttle: f32| {
+        let options = VecOptions { driver, ..agents_drive(2, 9, Hosting::default()) };
+        let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
+        let (mut records, mut passed) = (Vec::new(), 0);
+        while records.len() < 8 {
+            let before = feature(&env, "present");
+            env.step(&[throttle; 2 * 8]).expect("a step");
+            let after = feature(&env, "present");
+            for (e, world) in env.worlds().enumerate() {
+                let state = world.traffic_lights().next().expect("a traffic light").as_bytes();
+                for (i, agent) in world.agents().enumerate() {
+                    let name = task.map.route_id(agent.route);
+                    let link = links.iter().find(|link| link.0 == name).map(|link| link.1);
+                    let over = agent.driving && before[8 * e + i] > after[8 * e + i];
+                    passed += usize::from(over && link.is_some_and(|link| state[link] == b's'));
+                }
+            }
+            records.extend(env.take_finished());
+        }
+        let red: f64 = records.iter().map(|record| record.red_lights.expect("signals")).sum();
+        (red, passed)
+    };
+    let (red, passed) = count(Driver::Sumo, 0.0);
+    assert_eq!(red, 0.0, "SUMO's driver stops");
+    assert!(passed > 0);
+    assert!(count(Driver::Agents, 1.0).0 > 0.0);
+}

@@ -5,12 +5,14 @@
 //! junctions only where it knows which vehicle has to yield. Where the two tests differ, the reason
 //! is worked out from the vehicles' states at the moment of first detection.
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::agents::{Slot, Status};
-use super::geometry::{Pose, Size, beside, boxes_overlap, direction, separation};
+use super::geometry::{Pose, Size, Stance, beside, boxes_overlap, direction, separation};
 use super::map::{JunctionStretch, Map};
 use crate::sumo::Collision;
+use crate::sumo::net::CARS;
 
 /// Change in a box's length and width for tests of near contact \[m\]: half of it on every side.
 const NEAR: f64 = 0.2;
@@ -70,6 +72,11 @@ audit! {
     /// Only the box test: the vehicles are on lanes that SUMO does not compare, such as two roads on
     /// one strip without `bidi`, or lanes of a junction that its logic does not name as foes.
     ours_not_compared: "only ours: on lanes that SUMO does not compare",
+    /// Only the box test: no corner of the outline that SUMO gives one vehicle lies within that of a
+    /// vehicle that SUMO tests it against. SUMO's outlines of cars have no corners: a tenth of the
+    /// length and a fifth of the width are cut off. Of two outlines, SUMO tests whether corners of the
+    /// first lie within the second.
+    ours_outline: "only ours: corners that SUMO cuts off or does not test",
     /// Only the box test: SUMO reports one of the two vehicles as colliding with a third.
     ours_one_of_several: "only ours: one of several at once",
     /// Only the box test, for no known reason.
@@ -79,6 +86,8 @@ audit! {
     sumo_ended: "only SUMO: with a vehicle that had ended",
     /// Only SUMO: the boxes overlap when each is 0.1 m larger on every side.
     sumo_touching: "only SUMO: a gap below about 0.2 m",
+    /// Only SUMO: the boxes would overlap on the centre lines of their lanes.
+    sumo_lateral_offset: "only SUMO: off the lane's centre line",
     /// Only SUMO: in a junction, within a vehicle's length of the front of a vehicle that steers.
     /// SUMO bends the body of such a vehicle along the lane that it assigns to the vehicle, which
     /// may be a lane of another route that lies close.
@@ -119,8 +128,8 @@ fn has_gap(map: &Map, a: &Slot, b: &Slot) -> bool {
     gap(a, b).or_else(|| gap(b, a)).is_some_and(|distance| distance >= lengths)
 }
 
-/// Whether SUMO compares vehicles that are on the lanes below the two.
-fn are_compared(map: &Map, a: &Slot, b: &Slot) -> bool {
+/// Whether SUMO tests a vehicle that is on the lanes below `a` against one on the lanes below `b`.
+fn is_tested(map: &Map, a: &Slot, b: &Slot) -> bool {
     let lanes = |slot: &Slot| {
         let [rear, front] = body(slot);
         let stretches = map.routes[slot.route].lanes().lane_stretches();
@@ -129,6 +138,27 @@ fn are_compared(map: &Map, a: &Slot, b: &Slot) -> bool {
     };
     let others = lanes(b);
     lanes(a).iter().any(|&a| others.iter().any(|&b| a == b || map.foes.contain(a, b)))
+}
+
+/// Whether a corner of the outline that SUMO gives `a` lies within that of `b`. SUMO has both on the
+/// centre lines of their lanes.
+fn has_corner_within(a: &Slot, b: &Slot) -> bool {
+    // Halves and cuts are shares of length and width.
+    let is_cut = |slot: &Slot| slot.class == CARS;
+    let corners = if is_cut(a) { [[0.5, 0.3], [0.4, 0.5]] } else { [[0.5, 0.5]; 2] };
+    let most = if is_cut(b) { 0.65 } else { 0.75 };
+    let to_b = Stance::from(&centred(b)).inverse() * Stance::from(&centred(a));
+    let mut corners = corners.into_iter().flat_map(|[x, y]| [[x, y], [x, -y], [-x, y], [-x, -y]]);
+    corners.any(|[x, y]| {
+        let corner = to_b * Point2::new(x * a.size[0], y * a.size[1]);
+        let [x, y] = [corner.x.abs() / b.size[0], corner.y.abs() / b.size[1]];
+        x <= 0.5 && y <= 0.5 && x + y / 2.0 <= most
+    })
+}
+
+/// Returns the pose of a vehicle on the centre line of its lane.
+fn centred(slot: &Slot) -> Pose {
+    Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral)
 }
 
 /// Whether the body of `a`, bent in any way behind its front, could touch `b`.
@@ -153,8 +183,6 @@ pub(super) fn reason_of_ours<'a>(
     let [a, b] = pair.map(|(_, slot)| slot);
     let overlap =
         |p: &Pose, q: &Pose, more: f64| boxes_overlap((p, grown(a, more)), (q, grown(b, more)));
-    let centred =
-        |slot: &Slot| Pose::beside([slot.pose.x, slot.pose.y], slot.pose.heading, -slot.lateral);
     let front_inside = |slot: &Slot| {
         let front = slot.s + slot.size[0] / 2.0;
         map.junctions[slot.route].iter().any(|j| (j.from..=j.to).contains(&front))
@@ -178,8 +206,12 @@ pub(super) fn reason_of_ours<'a>(
         |audit| &mut audit.ours_metres
     } else if has_gap(map, a, b) {
         |audit| &mut audit.ours_bend
-    } else if !are_compared(map, a, b) {
+    } else if !is_tested(map, a, b) && !is_tested(map, b, a) {
         |audit| &mut audit.ours_not_compared
+    } else if a.route != b.route
+        && ![(a, b), (b, a)].iter().any(|(a, b)| is_tested(map, a, b) && has_corner_within(a, b))
+    {
+        |audit| &mut audit.ours_outline
     } else if reported.any(|c| of_pair(c.collider) != of_pair(c.victim)) {
         |audit| &mut audit.ours_one_of_several
     } else {
@@ -196,6 +228,8 @@ pub(super) fn reason_of_sumo(map: &Map, steer: bool, a: &Slot, b: &Slot) -> Coun
         |audit| &mut audit.sumo_ended
     } else if boxes_overlap((&a.pose, grown(a, NEAR)), (&b.pose, grown(b, NEAR))) {
         |audit| &mut audit.sumo_touching
+    } else if boxes_overlap((&centred(a), a.size), (&centred(b), b.size)) {
+        |audit| &mut audit.sumo_lateral_offset
     } else if steer && (in_junction(a) || in_junction(b)) && (bent_meets(a, b) || bent_meets(b, a))
     {
         |audit| &mut audit.sumo_bent
@@ -272,5 +306,32 @@ impl Pairs {
             } += 1;
         }
         audit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(x: f64, y: f64, degrees: f64, class: &'static str) -> Slot {
+        let pose = Pose { x, y, heading: degrees.to_radians() };
+        Slot { pose, size: [4.5, 2.0], class, ..Slot::default() }
+    }
+
+    #[test]
+    fn sumos_outlines_of_cars_have_no_corners() {
+        let within = |a: &Slot, b: &Slot| [has_corner_within(a, b), has_corner_within(b, a)];
+        for (class, touch) in [(CARS, false), ("truck", true)] {
+            let (a, b) = (at(0.0, 0.0, 0.0, class), at(4.3, 1.8, 0.0, class));
+            assert!(boxes_overlap((&a.pose, a.size), (&b.pose, b.size)));
+            assert_eq!(within(&a, &b), [touch; 2]);
+            assert_eq!(within(&a, &at(3.0, 1.0, 0.0, class)), [true; 2]);
+            // The front of one in the side of the other, and a cross.
+            assert_eq!(within(&at(0.0, -2.75, 90.0, class), &a), [true, false]);
+            assert_eq!(within(&at(0.0, 0.0, 90.0, class), &a), [false; 2]);
+        }
+        // SUMO has them on the centre lines of their lanes.
+        let beside = Slot { lateral: 1.5, ..at(0.0, 1.5, 0.0, CARS) };
+        assert_eq!(within(&beside, &at(1.0, -0.9, 0.0, CARS)), [true; 2]);
     }
 }

@@ -73,6 +73,8 @@ pub(super) struct Background {
     clocks: Vec<Clock>,
     /// Vehicles at spawn places that have not departed yet.
     pending: Vec<Pending>,
+    /// Whether an agent has come in the episode, or has been there from its start.
+    has_agents: bool,
     effects: Effects,
 }
 
@@ -80,7 +82,7 @@ impl Background {
     pub(super) fn new(task: &Task, driver: Driver) -> Self {
         let clocks = Vec::with_capacity(task.map.plan.sources.len());
         let effects = Effects::new(task.agents, task.others);
-        Self { driver, clocks, pending: Vec::new(), effects }
+        Self { driver, clocks, pending: Vec::new(), has_agents: false, effects }
     }
 
     /// Begins a new episode: empties the slots and lets vehicles depart. `places` are the vehicles
@@ -96,6 +98,7 @@ impl Background {
         commands: &mut Vec<Command>,
     ) {
         self.effects.begin();
+        self.has_agents = task.starting > 0;
         self.clocks.clear();
         for source in &task.map.plan.sources {
             // The number in the files, so that departures do not depend on who is left out.
@@ -188,6 +191,12 @@ impl Background {
                     *known = Some((order, index, due));
                 }
             }
+            if let [Some((_, index, due)), None] = first
+                && self.is_last_chance(task, sources[index].source, due.kind)
+            {
+                self.clocks[index].due = Some(Due { is_agent: true, ..due });
+                continue;
+            }
             let [other, agent] = first;
             let found = (vacant..slots.len()).find(|&i| slots[i].is_free() && other.is_some());
             vacant = found.map_or(vacant, |i| i + 1);
@@ -209,6 +218,7 @@ impl Background {
             let free = (0..task.agents).find(|&i| slots[i].is_free());
             let (Some((_, index, due)), Some(i)) = (agent, free) else { return };
             self.clocks[index].take(task, &sources[index]);
+            self.has_agents = true;
             let (vehicle_type, size) = task.agent_type(self.driver, due.kind);
             let planned = &task.map.plan.departures;
             let route = planned[due.departure].route;
@@ -231,6 +241,12 @@ impl Background {
             commands.push(Command::SpeedMode { world, slot, mode });
             commands.extend(lane_change_mode(task, self.driver, world, slot));
         }
+    }
+
+    /// Returns whether a vehicle that is about to depart has to be an agent, so that the episode has
+    /// one: it may be an agent, and nobody was before or may be later.
+    fn is_last_chance(&self, task: &Task, source: usize, kind: usize) -> bool {
+        !self.has_agents && task.may_be_agent(source, kind) && !self.expects_agents(task)
     }
 
     /// Returns whether vehicles that may be agents will depart from now on.
@@ -404,7 +420,7 @@ impl Clock {
     /// Draws whether a vehicle of this type is an agent.
     fn is_agent(&mut self, task: &Task, source: &PlannedSource, kind: usize) -> bool {
         let share = task.scenario.traffic.penetration;
-        task.recruits.get(source.source).is_some_and(|recruits| recruits[kind])
+        task.may_be_agent(source.source, kind)
             && (share >= 1.0 || self.roles.random::<f64>() < share)
     }
 }

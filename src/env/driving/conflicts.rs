@@ -150,7 +150,12 @@ impl Pair<'_> {
             let fork =
                 shared.iter().any(|k| (u - k.to).abs() < 0.5 && (s - k.to - k.shift).abs() < BEND);
             let bend = same && (s - u).abs() < BEND;
-            (!fork && !bend).then_some(touch)
+            // Nobody comes to a lane along the route that begins there.
+            let begin = (s < 0.1 || u < 0.1)
+                && shared
+                    .iter()
+                    .any(|k| (u - k.from).abs() < 0.5 && (s - k.from - k.shift).abs() < 0.5);
+            (!fork && !bend && !begin).then_some(touch)
         };
         (1..other.points.len()).filter_map(touch).collect()
     }

@@ -50,6 +50,7 @@ pub(super) struct LaneRoutes {
     lanes: Vec<NetLane>,
     /// Whether lanes are counted from the left.
     left_hand: bool,
+    are_used: bool,
 }
 
 impl LaneRoutes {
@@ -74,6 +75,7 @@ impl LaneRoutes {
             like: Vec::new(),
             lanes: net.lanes.iter().map(lane).collect(),
             left_hand: net.left_hand,
+            are_used: false,
         };
         for &base in bases {
             if !routes.of[base].is_empty() {
@@ -101,9 +103,15 @@ impl LaneRoutes {
                     }
                 }
             }
+            routes.are_used |= entries.iter().any(|entry| entry.route != base);
             routes.of[base] = entries;
         }
         routes
+    }
+
+    /// Whether some vehicles may come to be on other routes by changing lanes.
+    pub(super) fn are_used(&self) -> bool {
+        self.are_used
     }
 
     /// Puts the vehicle of a slot on the lane that SUMO reports. Returns position on the route's

@@ -195,7 +195,7 @@ pub(crate) fn is_behind(routes: &[RouteGeometry], ahead: &Candidate, behind: &Ca
 /// Whether a red signal holds a vehicle back before its next conflict point.
 fn is_held(routes: &[RouteGeometry], slot: &Slot) -> bool {
     slot.next_signal.is_some_and(|next| {
-        next.aspect.is_red() && next.distance < routes[slot.route].to_first_conflict(slot.s)
+        next.aspect.demands_stop() && next.distance < routes[slot.route].to_first_conflict(slot.s)
     })
 }
 

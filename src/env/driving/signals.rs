@@ -12,6 +12,10 @@ use crate::rng::{self, Seed};
 use crate::sumo::net::{Aspect, Net, Path, Signal, TrafficLight};
 use crate::sumo::{Command, Snapshot, TrafficLightState};
 
+/// Greatest distance before a stop line at which a stop counts as one before the line \[m\].
+const AT_LINE: f64 = 5.0;
+/// Speed below which a vehicle stands, as in SUMO \[m/s\].
+pub(super) const STANDING: f64 = 0.1;
 /// Longest time of the programs after which an episode begins \[ms\].
 const LONGEST: i64 = 24 * 3600 * 1000;
 
@@ -148,15 +152,28 @@ impl Signals {
         slot.lines_passed = lights.passed(slot);
     }
 
-    /// Finds the agents that passed a red signal with their fronts in the last step. A vehicle that
-    /// comes to a line again, after it has driven backwards, does not count again.
+    /// Returns what a signal says to the vehicle of a slot, which comes to it next.
+    fn aspect_for(&self, slot: &Slot, line: &StopLine) -> Aspect {
+        let aspect = self.aspect(line);
+        if slot.stopped { aspect.after_stop() } else { aspect }
+    }
+
+    /// Finds the agents that passed a red signal with their fronts in the last step, or a signal
+    /// that demands a stop before which they have not stopped. A vehicle that comes to a line again,
+    /// after it has driven backwards, does not count again.
     pub(super) fn judge(&self, lights: &TrafficLights, agents: &mut [Slot]) {
         for slot in agents.iter_mut().filter(|slot| slot.status == Status::Active) {
             let passed = lights.passed(slot).max(slot.lines_passed);
             let lines = &lights.lines[slot.route];
             let crossed = lines.get(slot.lines_passed..passed).unwrap_or_default();
-            slot.ran_red = crossed.iter().any(|line| self.aspect(line).is_red());
+            slot.ran_red = crossed.iter().enumerate().any(|(nth, line)| {
+                let aspect = if nth == 0 { self.aspect_for(slot, line) } else { self.aspect(line) };
+                aspect.demands_stop()
+            });
             slot.red_lights += u32::from(slot.ran_red);
+            slot.stopped &= crossed.is_empty();
+            slot.stopped |= slot.speed.abs() < STANDING
+                && lines.get(passed).is_some_and(|line| line.at - front(slot) <= AT_LINE);
             slot.lines_passed = passed;
         }
     }
@@ -176,7 +193,7 @@ impl Signals {
                 };
                 NextSignal {
                     distance: line.at - front(slot),
-                    aspect: self.aspect(line),
+                    aspect: self.aspect_for(slot, line),
                     to_change: light.is_static().then(change),
                 }
             };

@@ -103,15 +103,35 @@ fn write_own(view: &View<'_>, w: &mut Writer<'_>) {
     ]);
 }
 
-/// Writes the vehicles on the agent's lanes.
+/// Writes the vehicles on the agent's lanes: those of its route and, where vehicles change lanes, those
+/// of other routes that use the same lanes.
 fn write_lane(view: &View<'_>, w: &mut Writer<'_>) {
     let own = view.own();
+    if view.map.lane_routes.are_used() {
+        return write_shared_lanes(view, w);
+    }
     let queue = &view.traffic.by_route[own.route];
     let place = queue.iter().position(|&j| j == view.slot).unwrap_or(queue.len());
     let gap = |&j: &usize| (view.traffic.slots[j].s - own.s, j);
     put_vehicles(view, w, queue[..place].iter().rev().map(gap), OWN_LANE);
     put_vehicles(view, w, queue[(place + 1).min(queue.len())..].iter().map(gap), OWN_LANE);
     put_counts(view, w, queue.iter().copied());
+}
+
+/// Writes the vehicles of all routes on the agent's lanes.
+fn write_shared_lanes(view: &View<'_>, w: &mut Writer<'_>) {
+    let (own, routes, slots) = (view.own(), &view.map.routes, &view.traffic.slots);
+    let others =
+        || (0..slots.len()).filter(|&j| j != view.slot && slots[j].status != Status::Empty);
+    let ahead = |j: usize| Some((view.route().gap_to(own.s, slots[j].route, slots[j].s)?, j));
+    let behind = |j: usize| Some((routes[slots[j].route].gap_to(slots[j].s, own.route, own.s)?, j));
+    let mut sides = [others().filter_map(ahead).collect(), others().filter_map(behind).collect()];
+    for (side, sign) in sides.iter_mut().zip([1.0, -1.0]) {
+        let side: &mut Vec<(f64, usize)> = side;
+        side.sort_by(|a, b| a.0.total_cmp(&b.0));
+        put_vehicles(view, w, side.iter().map(|&(gap, j)| (sign * gap, j)), OWN_LANE);
+    }
+    put_counts(view, w, sides.iter().flatten().map(|entry| entry.1).chain([view.slot]));
 }
 
 /// Writes the vehicles on the routes that conflict with the agent's.

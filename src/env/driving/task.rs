@@ -287,9 +287,14 @@ impl Task {
 
     /// Returns whether vehicles of a vehicle or flow of the route files may be agents.
     pub(super) fn may_be_agents(&self, source: usize) -> bool {
-        let recruits = self.recruits.get(source);
         let types = &self.demand.sources[source].types;
-        recruits.is_some_and(|recruits| types.iter().any(|entry| recruits[entry.0]))
+        types.iter().any(|entry| self.may_be_agent(source, entry.0))
+    }
+
+    /// Returns whether a vehicle of type number `kind` of a vehicle or flow of the route files may be
+    /// an agent.
+    pub(super) fn may_be_agent(&self, source: usize, kind: usize) -> bool {
+        self.recruits.get(source).is_some_and(|recruits| recruits[kind])
     }
 
     /// Whether each world needs a SUMO of its own, which is renewed for each episode, because what SUMO

@@ -6,6 +6,8 @@ use serde::{Deserialize, Serialize};
 use super::agents::{Slot, Status};
 use super::failures::Failures;
 use super::loitering::Loitering;
+use super::map::Map;
+use super::signals::STANDING;
 use super::task::Task;
 use super::trip::Trip;
 
@@ -18,6 +20,17 @@ const PATIENCE: f64 = 4.0;
 #[derive(Debug, Clone, Default)]
 pub(super) struct Trips {
     ended: Vec<Trip>,
+    pace: Pace,
+}
+
+/// How fast all vehicles on the road were, summed over vehicles and steps. Wrecks stand.
+#[derive(Debug, Clone, Copy, Default)]
+struct Pace {
+    count: u32,
+    /// Sum of the speeds \[m/s\].
+    speed: f64,
+    /// How often a vehicle stood.
+    standing: u32,
 }
 
 /// The trips of an episode in numbers. Shares are fractions of `count`.
@@ -58,12 +71,35 @@ pub struct FlowMetrics {
     pub queued: u32,
     /// Number of agents on the road at the end of the episode.
     pub on_road: u32,
+    /// Mean speed of all vehicles on the road, agents and others \[m/s\]. A wreck has the speed 0.
+    #[serde(default)]
+    pub speed: f64,
+    /// Share of these vehicles that stand, slower than 0.1 m/s, in the mean over all steps.
+    #[serde(default)]
+    pub standing: f64,
 }
 
 impl Trips {
     /// Begins a new episode.
     pub(super) fn begin(&mut self) {
         self.ended.clear();
+        self.pace = Pace::default();
+    }
+
+    /// Notes how fast all vehicles on the road were in the last step.
+    pub(super) fn watch(&mut self, map: &Map, slots: &[Slot]) {
+        let here = |slot: &&Slot| slot.status != Status::Empty && slot.departed;
+        let drives = |slot: &&Slot| !map.routes[slot.route].is_walked();
+        for slot in slots.iter().filter(here).filter(drives) {
+            self.pace.count += 1;
+            self.pace.speed += slot.speed;
+            self.pace.standing += u32::from(slot.speed < STANDING);
+        }
+    }
+
+    /// Whether no agent's trip has ended.
+    pub(super) fn are_none(&self) -> bool {
+        self.ended.is_empty()
     }
 
     /// Stores the trip of the agent in a slot, which has ended in step number `step`.
@@ -139,6 +175,8 @@ impl Trips {
             waiting: mean(&waits.map(|wait| wait.max(0.0)).collect::<Vec<_>>()),
             queued,
             on_road: trips.iter().filter(|trip| trip.unfinished).count() as u32,
+            speed: self.pace.speed / f64::from(self.pace.count.max(1)),
+            standing: f64::from(self.pace.standing) / f64::from(self.pace.count.max(1)),
         }
     }
 }

@@ -372,11 +372,13 @@ impl World {
     }
 
     /// Whether the episode goes on although no agent acts: the horizon has not been reached, and
-    /// agents are still to come.
+    /// agents are still to come, or agents come from route files and none has come. An episode
+    /// without agents lasts until the horizon, since a new one would make SUMO load the net again.
     fn goes_on(&self) -> bool {
         let task = &self.task;
         self.episode.step < task.scenario.termination.horizon
-            && (self.traffic.slots[..task.agents].iter().any(Slot::is_waiting)
+            && (task.has_flow() && self.trips.are_none()
+                || self.traffic.slots[..task.agents].iter().any(Slot::is_waiting)
                 || self.spawned.expects_agents()
                 || self.background.expects_agents(task))
     }
@@ -388,6 +390,7 @@ impl World {
         let reported = || snapshot.collisions.iter().filter(move |c| c.world == world);
         self.collisions.find(map, n, &self.traffic.slots, reported);
         self.distance += self.traffic.driven_by_agents(n);
+        self.trips.watch(map, &self.traffic.slots);
         let interval = task.scenario.control.interval;
         loitering::watch(map, interval, &self.traffic.slots, &mut self.loitering);
         self.signals.judge(&map.traffic_lights, &mut self.traffic.slots[..n]);

@@ -38,7 +38,7 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
         let stops = |next: NextSignal| {
             let yellow = next.aspect == Aspect::Yellow && next.distance >= braking;
-            (next.aspect.is_red() || yellow)
+            (next.aspect.demands_stop() || yellow)
                 && next.distance < braking + own.speed * control.interval + BEFORE_LINE
         };
         own.status == Status::Active

@@ -40,14 +40,6 @@ impl Adviser<'_, '_, '_> {
                         "a program of type `static` makes training faster",
                     ));
                 }
-                if light.phases.iter().any(|phase| phase.state.contains('s')) {
-                    findings.push(self.net_warning(
-                        "signals-stop",
-                        net,
-                        format!("traffic light `{id}` lets vehicles pass after a stop (SUMO's `s`); agents observe this, but no rule makes them stop"),
-                        "build the net from sources without connections or nodes that allow a right turn on red",
-                    ));
-                }
             }
         }
         if ruled && !self.scenario.observation.signals {

@@ -10,8 +10,8 @@ use roxmltree::Node;
 use super::super::demand::{self, seconds};
 use super::super::reader::{Reader, document, text};
 use super::super::{
-    AgentRange, Demand, DemandPlan, FileTime, Jitter, LaneChange, ObservationGroups, Scenario,
-    Traffic,
+    AgentRange, Demand, DemandPlan, Error as ScenarioError, FileTime, Jitter, LaneChange,
+    ObservationGroups, Scenario, Traffic,
 };
 use super::files::{Layout, Site, Steers};
 use super::import::{SPEED, in_utf8};
@@ -89,7 +89,7 @@ pub fn import_configuration(
 
 impl Configuration {
     fn read(path: &Path) -> Result<Self, Error> {
-        let text = text(path)?;
+        let text = text(path).map_err(of_file)?;
         let document = document(&text, path)?;
         let reader = Reader::new(path, &document);
         let root = document.root_element();
@@ -146,6 +146,14 @@ impl Configuration {
     }
 }
 
+/// Returns the error without the hint that it gives about files of scenarios.
+fn of_file(error: ScenarioError) -> Error {
+    match error {
+        ScenarioError::Read { path, source } => Error::Read { path, source },
+        error => error.into(),
+    }
+}
+
 /// The copies of a configuration's files, and the programs of signals in them.
 struct Copies {
     files: Vec<PathBuf>,
@@ -158,10 +166,7 @@ fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result
     let mut copies = Copies { files: Vec::new(), programs: Vec::new() };
     let mut empty = Vec::new();
     for (number, path) in files.iter().enumerate() {
-        let text = demand::text(path).map_err(|error| match error {
-            super::super::Error::Read { path, source } => Error::Read { path, source },
-            error => error.into(),
-        })?;
+        let text = demand::text(path).map_err(of_file)?;
         let document = document(&text, path)?;
         let mut elements = document.root_element().children().filter(Node::is_element);
         let programs = elements.clone().filter(|node| node.has_tag_name("tlLogic"));

@@ -12,7 +12,8 @@ use roxmltree::Node;
 
 use super::Net;
 
-/// The pairs of lanes, as indices into [`Net::lanes`], the smaller one first.
+/// The pairs of lanes, as indices into [`Net::lanes`]: SUMO tests the vehicles on the first against
+/// those on the second.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Foes(HashSet<(usize, usize)>);
 
@@ -24,7 +25,7 @@ impl Foes {
         for edge in &net.edges {
             let back = edge.bidi.map(|back| net.edges[back].lanes.clone());
             for other in back.into_iter().flatten() {
-                edge.lanes.clone().for_each(|lane| foes.add(lane, other));
+                foes.0.extend(edge.lanes.clone().map(|lane| (lane, other)));
             }
         }
         let mut before: HashMap<usize, usize> = HashMap::new();
@@ -37,7 +38,7 @@ impl Foes {
         }
         for (k, &a) in begun.values().flat_map(|all| all.iter().enumerate()) {
             let from = before[&a];
-            begun[&from][..k].iter().for_each(|&b| foes.add(a, b));
+            foes.0.extend(begun[&from][..k].iter().flat_map(|&b| [(a, b), (b, a)]));
         }
         let ids = |node: Node, key| -> Vec<Option<usize>> {
             let text = node.attribute(key).unwrap_or_default();
@@ -51,7 +52,7 @@ impl Foes {
                 let next = node.attribute("id").and_then(|id| lanes.get(id).copied());
                 let first = ids(node, "incLanes").first().copied().flatten();
                 for own in [first, next].into_iter().flatten() {
-                    inner.iter().flatten().for_each(|&other| foes.add(own, other));
+                    foes.0.extend(inner.iter().flatten().map(|&other| (own, other)));
                 }
                 continue;
             }
@@ -67,9 +68,9 @@ impl Foes {
                 for (foe, &other) in attribute("foes").bytes().rev().zip(&inner) {
                     let yields = yields.next() == Some(b'1');
                     let (Some(other), b'1') = (other, foe) else { continue };
-                    foes.add(own, other);
+                    foes.0.insert((own, other));
                     if let (true, Some(&earlier)) = (yields, before.get(&other)) {
-                        foes.add(own, earlier);
+                        foes.0.insert((own, earlier));
                     }
                 }
             }
@@ -77,13 +78,10 @@ impl Foes {
         foes
     }
 
-    fn add(&mut self, a: usize, b: usize) {
-        self.0.insert((a.min(b), a.max(b)));
-    }
-
-    /// Returns whether SUMO compares vehicles on one of two different lanes with those on the other.
-    pub fn contain(&self, a: usize, b: usize) -> bool {
-        self.0.contains(&(a.min(b), a.max(b)))
+    /// Returns whether SUMO tests vehicles on the first of two different lanes against those on the
+    /// second.
+    pub fn contain(&self, own: usize, other: usize) -> bool {
+        self.0.contains(&(own, other))
     }
 }
 
@@ -136,8 +134,9 @@ mod tests {
         let net = Net::parse(&text, Path::new("x.net.xml")).expect("a net");
         let lane = |id: &str| net.lanes.iter().position(|lane| lane.id == id).expect("a lane");
         let foes = |a, b| net.foes.contain(lane(a), lane(b));
-        // A vehicle yields to those that wait within the junction, too.
-        assert!(foes(":y_0_0", ":y_3_0") && foes(":y_0_0", ":y_2_0"));
+        // A vehicle yields to those that wait within the junction, too, who are not tested against it.
+        assert!(foes(":y_0_0", ":y_3_0") && foes(":y_3_0", ":y_0_0"));
+        assert!(foes(":y_0_0", ":y_2_0") && foes(":y_2_0", ":y_0_0"));
         assert!(
             !foes(":y_0_0", ":y_1_0") && !foes(":y_1_0", ":y_2_0") && !foes(":y_1_0", ":y_3_0")
         );

@@ -41,9 +41,15 @@ impl Aspect {
         state.as_bytes().get(signal).map_or(Self::Off, |&letter| Self::of(letter))
     }
 
-    /// Whether no vehicle may pass the signal.
-    pub fn is_red(self) -> bool {
-        matches!(self, Self::Red | Self::RedYellow)
+    /// Whether a vehicle that has not stopped before the signal may not pass it.
+    pub fn demands_stop(self) -> bool {
+        matches!(self, Self::Red | Self::RedYellow | Self::Stop)
+    }
+
+    /// Returns what the signal says to a vehicle that has stopped before it.
+    #[must_use]
+    pub fn after_stop(self) -> Self {
+        if self == Self::Stop { Self::Green } else { self }
     }
 }
 

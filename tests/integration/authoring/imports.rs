@@ -214,5 +214,9 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     assert!(time.contains("b.sumocfg:2:40: `now` is not a valid value of <begin>"), "{time}");
     let gone = refused(&format!("{input}<r value=\"gone.rou.xml\"/></configuration>"));
     assert!(gone.starts_with("cannot read `") && gone.contains("gone.rou.xml"), "{gone}");
+    let missing = folder.path().join("missing.sumocfg");
+    let missing = import_configuration(folder.path(), "other", &missing, None).unwrap_err();
+    assert!(missing.to_string().starts_with("cannot read `"), "{missing}");
+    assert_eq!(missing.hint(), None, "the hint for scenario files does not fit");
     assert!(!folder.path().join("sumo_nets/other").exists());
 }

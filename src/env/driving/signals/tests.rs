@@ -74,6 +74,44 @@ fn an_agent_that_passes_red_counts_once() {
     assert_eq!(pass(red, line + 4.0, &mut begun), (false, 0), "it began beyond the line");
 }
 
+/// SUMO's `s` lets vehicles pass that have stopped before it.
+#[test]
+fn a_stop_before_the_line_makes_a_stop_signal_green() {
+    let task = task();
+    let lights = &task.map.traffic_lights;
+    let west = route(&task, "west_right");
+    let line = &lights.lines[west][0];
+    let state = ["r"; 12].concat();
+    let now = |letter: &str| {
+        let mut state = state.clone();
+        state.replace_range(line.signal..=line.signal, letter);
+        signals(&task, &state, 0)
+    };
+    let drive = |slot: &mut Slot, signals: &Signals, front: f64, speed: f64| {
+        (slot.s, slot.speed) = (front - slot.size[0] / 2.0, speed);
+        signals.judge(lights, std::slice::from_mut(slot));
+        signals.look(lights, 1, std::slice::from_mut(slot));
+        (slot.ran_red, slot.next_signal.map(|next| next.aspect))
+    };
+    let begin =
+        || Slot { status: Status::Active, route: west, size: [4.5, 1.8], ..Slot::default() };
+    let (stop, red) = (now("s"), now("r"));
+    let (at, seen) = (line.at, Some(Aspect::Stop));
+    let mut rolling = begin();
+    assert_eq!(drive(&mut rolling, &stop, at - 1.0, 1.0), (false, seen));
+    assert_eq!(drive(&mut rolling, &stop, at + 0.1, 1.0), (true, None));
+    let mut far = begin();
+    assert_eq!(drive(&mut far, &stop, at - 8.0, 0.0), (false, seen), "in a queue");
+    assert_eq!(drive(&mut far, &stop, at + 0.1, 5.0), (true, None));
+    let mut stopped = begin();
+    assert_eq!(drive(&mut stopped, &red, at - 1.0, 0.0), (false, Some(Aspect::Red)));
+    assert_eq!(drive(&mut stopped, &stop, at - 0.5, 1.0), (false, Some(Aspect::Green)));
+    assert_eq!(drive(&mut stopped, &stop, at + 0.1, 1.0), (false, None));
+    let mut waited = begin();
+    assert_eq!(drive(&mut waited, &red, at - 1.0, 0.0), (false, Some(Aspect::Red)));
+    assert_eq!(drive(&mut waited, &red, at + 0.1, 1.0), (true, None), "red is red");
+}
+
 #[test]
 fn the_next_signal_is_that_of_the_route_and_its_lane() {
     let task = task();

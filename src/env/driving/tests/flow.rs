@@ -141,6 +141,46 @@ fn an_episode_ends_with_its_last_agent() {
     assert!(longest_gap >= 25, "nobody departs in the first three seconds");
 }
 
+/// Returns the lengths of episodes and the agents that departed, of demand with one vehicle per arm
+/// in each episode of 200 steps.
+fn sparse(types: &str, penetration: f64) -> Vec<(u32, u32)> {
+    let mut scenario = scenario("flow_cross");
+    (scenario.traffic.penetration, scenario.termination.horizon) = (penetration, 200);
+    scenario.agents.types = vec![types.into()];
+    let mut task = Task::new(&scenario, 4).expect("a task");
+    for source in &mut task.map.plan.sources {
+        source.number = 1;
+        source.spacing = crate::scenario::Spacing::Equal(1.0);
+    }
+    let task = Arc::new(task);
+    let (mut world, mut rails) = (world(&task, 5), Rails::new(&task));
+    world.reset(0);
+    let mut episodes = Vec::new();
+    while episodes.len() < 12 {
+        exchange(&mut world, &mut rails, &[1.0; 4]);
+        if let Some(record) = world.take_finished() {
+            episodes.push((record.episode_length, record.flow.expect("a flow").departed));
+        }
+    }
+    episodes
+}
+
+#[test]
+fn of_sparse_demand_at_least_one_vehicle_is_an_agent() {
+    let episodes = sparse("mix", 1e-9);
+    assert!(episodes.iter().all(|&(length, agents)| length > 30 && agents == 1), "{episodes:?}");
+}
+
+/// Otherwise SUMO would load the net again in every step.
+#[test]
+fn an_episode_without_vehicles_that_may_be_agents_lasts_until_the_horizon() {
+    // One vehicle in ten is a truck.
+    let episodes = sparse("truck", 1.0);
+    let without: Vec<u32> = episodes.iter().filter(|e| e.1 == 0).map(|e| e.0).collect();
+    assert!(!without.is_empty() && without.iter().all(|&length| length == 200), "{episodes:?}");
+    assert!(without.len() < episodes.len(), "{episodes:?}");
+}
+
 /// Vehicles for which no slot is free wait, and their waiting is counted.
 #[test]
 fn agents_wait_for_a_slot() {
