@@ -66,7 +66,9 @@ fn models_that_do_not_fit_are_refused() {
             .filter(|&at| &bytes[at..at + from.len()] == from.as_bytes())
             .collect();
         assert!(!starts.is_empty(), "{from}");
-        starts.iter().for_each(|&at| bytes[at..at + to.len()].copy_from_slice(to.as_bytes()));
+        for at in starts {
+            bytes[at..at + to.len()].copy_from_slice(to.as_bytes());
+        }
         fs::write(at(name), bytes).expect("written");
     };
     changed("feature", "ego.speed", "ego.sqeed");
