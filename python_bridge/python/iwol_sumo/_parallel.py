@@ -187,11 +187,12 @@ class VehicleEnv(ParallelEnv, EzPickle):
         reward, terminated, truncated = (
             array[0].tolist() for array in (frame.reward, frame.terminated, frame.truncated)
         )
-        observations = {name: observation[slot] for slot, name in before}
-        rewards = {name: reward[slot] for slot, name in before}
-        terminations = {name: terminated[slot] for slot, name in before}
-        truncations = {name: truncated[slot] for slot, name in before}
+        observations, rewards, terminations, truncations = {}, {}, {}, {}
         for slot, name in before:
+            observations[name] = observation[slot]
+            rewards[name] = reward[slot]
+            terminations[name] = terminated[slot]
+            truncations[name] = truncated[slot]
             if terminated[slot] or truncated[slot]:
                 self._names[slot] = None
         new = self._await_agents()
@@ -212,12 +213,14 @@ class VehicleEnv(ParallelEnv, EzPickle):
 
         Steps in which nobody is there to act, because agents of route files are still to come, are taken at once.
         """
-        while not (self._ended or self._frame.active.any()):
+        active = self._frame.active[0].tolist()
+        while not (self._ended or any(active)):
             self._decide()
+            active = self._frame.active[0].tolist()
+        start = self._frame.start[0].tolist()
         new = []
-        active, start = self._frame.active[0].tolist(), self._frame.start[0].tolist()
-        for slot in range(self._slots):
-            if active[slot] and (start[slot] or self._names[slot] is None):
+        for slot, name in enumerate(self._names):
+            if active[slot] and (start[slot] or name is None):
                 self._names[slot] = name = self.possible_agents[self._known]
                 self._known += 1
                 new.append((slot, name))
