@@ -8,6 +8,8 @@ mod driver;
 mod knowledge;
 #[cfg(feature = "learn")]
 mod learned;
+#[cfg(feature = "learn")]
+mod onnx;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -24,6 +26,8 @@ use driver::PolicyDriver;
 pub use driver::{Actor, Controller};
 #[cfg(feature = "learn")]
 pub use learned::LearnedPolicy;
+#[cfg(feature = "learn")]
+pub use onnx::{OnnxError, OnnxPolicy};
 
 /// Number of worlds that run at a time. A learned policy always gets this number of rows, whatever
 /// the machine and the number of episodes, so that episodes are reproducible to the last bit.
@@ -112,7 +116,8 @@ pub struct EvaluationObserver<'a> {
 /// needs.
 ///
 /// # Errors
-/// [`env::Error`] if SUMO cannot be run, or dies in the same episode three times.
+/// [`env::Error`] if SUMO cannot be run, or dies in the same episode three times, or if the policy
+/// cannot choose an action.
 pub fn evaluate(
     task: &Arc<Task>,
     policy: &Policy<'_>,
@@ -205,7 +210,7 @@ impl Stage<'_> {
         let mut env = VecEnv::new(self.task, &options)?;
         policy.begin();
         while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            policy.act(&env);
+            policy.act(&env)?;
             env.step(&policy.actions)?;
             if let Some(recorder) = &mut policy.recorder {
                 env.worlds().for_each(|world| recorder.reward(world));

@@ -8,11 +8,13 @@ use iwol_sumo::replay::{RecordedDiagnostics, Recorder, Recording};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::sumo::Hosting;
 use numpy::{
-    Element, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _,
+    Element, PyArray, PyArray3, PyArrayDyn, PyArrayMethods as _, PyReadonlyArrayDyn,
+    PyUntypedArrayMethods as _,
 };
 use pyo3::prelude::*;
 
 use crate::error::{exception, of_env};
+use crate::picture::pixels;
 use crate::task::NativeTask;
 
 /// Process that first used an environment. The threads that start SUMO and that step worlds do not
@@ -201,18 +203,43 @@ impl NativeEnv {
             .collect()
     }
 
+    /// Performs the decisions `[T, E, N, A]` one after the other without Python, for benchmarks.
+    fn repeat(&self, py: Python<'_>, actions: PyReadonlyArrayDyn<'_, f32>) -> PyResult<()> {
+        let mut running = self.lock(py)?;
+        let Some(running) = running.as_mut() else { return Ok(()) };
+        let width = running.actions.len();
+        let actions: Vec<f32> = actions.as_array().iter().copied().collect();
+        let taken = py.detach(|| {
+            actions.chunks_exact(width).try_for_each(|actions| {
+                running.env.step(actions)?;
+                running.env.take_finished();
+                Ok(())
+            })
+        });
+        taken.map_err(|error: iwol_sumo::env::Error| of_env(py, &error))
+    }
+
     /// Returns the numbers of the episodes that the worlds play.
     fn episodes(&self, py: Python<'_>) -> PyResult<Vec<u64>> {
         let running = self.lock(py)?;
         Ok(running.iter().flat_map(|running| running.env.worlds().map(World::episode)).collect())
     }
 
-    /// Returns world 0's episode so far as an HTML player, or as an SVG picture of its last step;
-    /// `None` before the first step.
+    /// Returns world 0's episode so far as an HTML player, or as an SVG picture of its present step;
+    /// `None` if it is not recorded.
     fn render(&self, py: Python<'_>, html: bool) -> PyResult<Option<String>> {
         Ok(self
             .recording(py)?
             .map(|recording| if html { recording.player() } else { recording.still(usize::MAX) }))
+    }
+
+    /// Returns a picture of world 0's present step, `[H, W, 3]`; `None` if it is not recorded.
+    fn pixels<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray3<u8>>>> {
+        let Some(recording) = self.recording(py)? else { return Ok(None) };
+        let drawn = py.detach(|| pixels(&recording.still(usize::MAX)));
+        let ([height, width], pixels) =
+            drawn.map_err(|error| exception(py, "Error", error.to_string()))?;
+        Ok(Some(PyArray::from_vec(py, pixels).reshape([height, width, 3])?))
     }
 
     /// Writes world 0's episode so far to a file, for `iwol replay`. Returns whether there is
@@ -322,10 +349,11 @@ impl NativeEnv {
 
     fn recording(&self, py: Python<'_>) -> PyResult<Option<Recording>> {
         let running = self.lock(py)?;
-        let Some(Running { recorder: Some(recorder), seed, .. }) = running.as_ref() else {
+        let Some(Running { recorder: Some(recorder), seed, env, .. }) = running.as_ref() else {
             return Ok(None);
         };
-        let recording = recorder.so_far(&self.task, "Python", *seed);
+        let Some(world) = env.worlds().next() else { return Ok(None) };
+        let recording = recorder.so_far(&self.task, world, "Python", *seed);
         recording.map_err(|error| exception(py, "Error", error.to_string()))
     }
 }

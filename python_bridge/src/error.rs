@@ -1,5 +1,6 @@
 //! Errors of the library as Python exceptions.
 
+use iwol_sumo::scenario::author;
 use iwol_sumo::{env, scenario, sumo};
 use pyo3::prelude::*;
 
@@ -36,6 +37,24 @@ pub(crate) fn of_env(py: Python<'_>, error: &env::Error) -> PyErr {
 
 /// Returns the exception for an error of a scenario.
 pub(crate) fn of_scenario(py: Python<'_>, error: &scenario::Error) -> PyErr {
+    exception(py, "ScenarioError", text(error, error.hint()))
+}
+
+/// Returns the exception for an error of a scenario that is made.
+pub(crate) fn of_author(py: Python<'_>, error: &author::Error) -> PyErr {
+    let text = match error {
+        author::Error::Sumo(error) => return of_sumo(py, error),
+        // An option of the command line is an argument here.
+        author::Error::Size { option, value, allowed } => {
+            format!("{} {value}: allowed: {allowed}", option.replace('-', "_"))
+        }
+        _ => text(error, error.hint()),
+    };
+    exception(py, "ScenarioError", text)
+}
+
+/// Returns the exception for an error of a net.
+pub(crate) fn of_net(py: Python<'_>, error: &sumo::net::NetError) -> PyErr {
     exception(py, "ScenarioError", text(error, error.hint()))
 }
 

@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use iwol_sumo::env::{Task, VecEnv};
+use iwol_sumo::env::{Error, Task, VecEnv};
 use iwol_sumo::evaluate::{
     self as evaluation, Actor, Controller, EvaluationObserver, POLICIES, Policy,
 };
@@ -124,7 +124,12 @@ struct CallableActor<'a> {
 impl Actor for CallableActor<'_> {
     fn begin(&mut self) {}
 
-    fn act(&mut self, env: &VecEnv, actions: &mut [f32], _: Option<usize>) -> RecordedDiagnostics {
+    fn act(
+        &mut self,
+        env: &VecEnv,
+        actions: &mut [f32],
+        _: Option<usize>,
+    ) -> Result<RecordedDiagnostics, Error> {
         let chosen = Python::attach(|py| {
             py.check_signals()?;
             self.call(py, env, actions)
@@ -132,7 +137,7 @@ impl Actor for CallableActor<'_> {
         if let Err(error) = chosen {
             self.callable.fail(error);
         }
-        RecordedDiagnostics::default()
+        Ok(RecordedDiagnostics::default())
     }
 
     fn knowledge(&self) -> Vec<Knowledge> {

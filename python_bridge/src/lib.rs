@@ -2,9 +2,11 @@
 //! interpreter lock while Rust works, and fills NumPy's arrays. What users see is in
 //! `python/iwol_sumo`.
 
+mod authoring;
 mod env;
 mod error;
 mod evaluation;
+mod picture;
 mod task;
 
 use pyo3::prelude::*;
@@ -13,6 +15,16 @@ use pyo3::prelude::*;
 mod _native {
     use super::*;
 
+    #[pymodule_export]
+    use super::authoring::check_scenario;
+    #[pymodule_export]
+    use super::authoring::import_map;
+    #[pymodule_export]
+    use super::authoring::import_sumocfg;
+    #[pymodule_export]
+    use super::authoring::new_scenario;
+    #[pymodule_export]
+    use super::authoring::show_scenario;
     #[pymodule_export]
     use super::env::NativeEnv;
     #[pymodule_export]
@@ -25,6 +37,13 @@ mod _native {
     use super::task::overridable;
     #[pymodule_export]
     use super::task::sumo;
+
+    /// Ends the messages to Python's logging, which does not outlive the interpreter: SUMO's last words
+    /// may come later.
+    #[pyfunction]
+    fn silence() {
+        log::set_max_level(log::LevelFilter::Off);
+    }
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

@@ -86,8 +86,9 @@ def test_no_sumo_outlives_the_interpreter(end):
         print([line.split()[0] for line in listed.stdout.splitlines() if "sumo" in line], flush=True)
         {end}
     """
-    started = json.loads(run(code).stdout.replace("'", '"'))
-    assert started
+    out = run(code)
+    started = json.loads(out.stdout.replace("'", '"'))
+    assert started and "panicked" not in out.stderr
     for _ in range(50):
         if not any(os.path.exists(f"/proc/{pid}") for pid in started):
             return

@@ -1,5 +1,6 @@
 """Policies as ONNX models."""
 
+import importlib.util
 import json
 import subprocess
 from pathlib import Path
@@ -59,6 +60,34 @@ def test_a_model_decides_as_pytorch(exported):
     difference = np.abs(OnnxPolicy(file)(observation, comm) - load_policy(folder)(observation, comm))
     # A score within rounding of the limit may open an edge in one and close it in the other.
     assert np.quantile(difference, 0.999) < 1e-5 and (difference > 1e-4).mean() < 1e-3
+
+
+@pytest.mark.parametrize("method", ["maddpg", "maddpg-iwol"])
+def test_policies_of_maddpg_leave_as_well(method, tmp_path):
+    run, file = tmp_path / "run", tmp_path / "policy.onnx"
+    small = ["train.envs=2", "train.rollout_steps=32", "network.hidden=8", "iwol.message=8", "iwol.latent=4"]
+    more = ["ppo.minibatch=64", "train.validation_episodes=1", "scenario.termination.horizon=40"]
+    settings = [part for setting in small + more for part in ("--set", setting)]
+    scenario = iwol_sumo.scenario_file("intersection")
+    out = iwol("train", "--scenario", scenario, "--agents", 4, "--algorithm", method, "--steps", 128, "--out", run, *settings)
+    assert out.returncode == 0, out.stderr
+    out = iwol("export", run, "--onnx", file)
+    assert out.returncode == 0, out.stderr
+    policy = f"onnx:{file}"
+    out = iwol("evaluate", run, "--policy", policy, "--episodes", 2, "--json")
+    assert out.returncode == 0, out.stderr
+    wanted, by_program = (result["metrics"]["reward"]["mean"] for result in json.loads(out.stdout))
+    overrides = {"termination.horizon": 40}
+    policies = [OnnxPolicy(file)]
+    if importlib.util.find_spec("torch"):
+        from iwol_sumo.policies import load_policy
+
+        policies.append(load_policy(run))
+    found = [
+        iwol_sumo.evaluate(policy, "intersection", 4, episodes=2, overrides=overrides)["metrics"]["reward"]["mean"]
+        for policy in policies
+    ]
+    assert found + [by_program] == pytest.approx([wanted] * (len(found) + 1), rel=1e-4)
 
 
 def test_what_has_no_model_is_refused(tmp_path):

@@ -19,5 +19,7 @@ def test_there_are_examples():
 
 
 @pytest.mark.parametrize("block", BLOCKS)
-def test_examples_run(block):
+def test_examples_run(block, tmp_path, monkeypatch):
+    # Examples write into the present folder.
+    monkeypatch.chdir(tmp_path)
     exec(compile(block, "example", "exec"), {"__name__": "example"})

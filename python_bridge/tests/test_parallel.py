@@ -159,6 +159,23 @@ def test_an_episode_is_drawn():
         assert env._repr_html_().startswith("<svg")
 
 
+def test_a_step_is_drawn_as_pixels():
+    with iwol_sumo.parallel_env("intersection", render_mode="rgb_array") as env:
+        assert env.render() is None
+        env.reset(seed=0)
+        frames = [env.render()]
+        for _ in range(20):
+            env.step(full_throttle(env))
+            frames.append(env.render())
+    assert all(frame.shape == frames[0].shape and frame.dtype == np.uint8 for frame in frames)
+    height, width, channels = frames[0].shape
+    assert (width, channels, height % 2) == (900, 3, 0)
+    # Agents that drive are blue (the palette's #0072b2), and move.
+    blue = [(frame == (0x00, 0x72, 0xB2)).all(-1) for frame in frames]
+    assert blue[0].any() and not np.array_equal(blue[0], blue[-1])
+    assert (frames[0][0, 0] == 255).all()
+
+
 def test_the_aec_form_plays(intersection):
     env = iwol_sumo.env("intersection", agents=8)
     env.reset(seed=0)

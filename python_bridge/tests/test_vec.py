@@ -60,6 +60,13 @@ def test_worlds_reset_themselves_in_the_next_step():
         assert not env.episodes
 
 
+def test_single_worlds_are_not_reset():
+    with iwol_sumo.vec_env("intersection", 2, 8) as env:
+        for resettable in (env, env.flatten()):
+            with pytest.raises(iwol_sumo.Error, match="single worlds cannot be reset"):
+                resettable.reset(options={"reset_mask": np.array([True, False])})
+
+
 def test_arrays_are_fresh_the_same_or_the_users():
     with iwol_sumo.vec_env("intersection", 2, 8) as fresh, iwol_sumo.vec_env("intersection", 2, 8, copy=False) as same:
         throttle = np.ones((2, 8, 1), np.float32)

@@ -1,5 +1,5 @@
 //! Policies as ONNX models, for use outside of this program. The graph computes the actions of
-//! trained policies as they act in evaluations: deterministic, clipped to -1..=1.
+//! trained policies as they act in evaluations: deterministic, within -1..=1.
 //!
 //! - inputs: `observation [batch, agents, O]`; for methods that send messages also
 //!   `comm [batch, agents, agents]`, 1 where two agents are within radio range, receiver first
@@ -16,7 +16,7 @@ use crate::env::EnvSpec;
 use crate::onnx::{Attribute, Dimension, Graph, Value};
 
 /// Methods that have an ONNX model.
-pub const METHODS: [&str; 3] = ["mappo", "im-iwol", "ex-iwol"];
+pub const METHODS: [&str; 5] = ["mappo", "im-iwol", "ex-iwol", "maddpg", "maddpg-iwol"];
 
 /// Prefix of the tensors of a policy in a checkpoint.
 const ACTOR: &str = "actor/";
@@ -39,8 +39,8 @@ pub fn graph(
     let width = Dimension::Fixed(spec.observation.len());
     let observation = writer.graph.input("observation", &[any, agents, width]);
     let read = match algorithm {
-        "mappo" => writer.mlp("encoder.mlp", &observation),
-        "im-iwol" => {
+        "mappo" | "maddpg" => writer.mlp("encoder.mlp", &observation),
+        "im-iwol" | "maddpg-iwol" => {
             let f = writer.mlp("encoder.mlp", &observation);
             let hidden = writer.linear("latent.0", &f);
             let hidden = writer.graph.apply("Relu", &[&hidden]);
@@ -57,8 +57,12 @@ pub fn graph(
         _ => return None,
     };
     let mean = writer.linear("head.mean", &read);
-    let (low, high) = (writer.graph.number(-1.0), writer.graph.number(1.0));
-    let action = writer.graph.apply("Clip", &[&mean, &low, &high]);
+    let action = if algorithm.starts_with("maddpg") {
+        writer.graph.apply("Tanh", &[&mean])
+    } else {
+        let (low, high) = (writer.graph.number(-1.0), writer.graph.number(1.0));
+        writer.graph.apply("Clip", &[&mean, &low, &high])
+    };
     let width = Dimension::Fixed(spec.actions.len());
     writer.graph.output("action", &action, &[any, agents, width]);
     Some(writer.graph)

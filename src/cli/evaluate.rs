@@ -7,12 +7,12 @@ mod setup;
 mod setup;
 mod table;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::evaluate::{EvaluationObserver, POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{Controller, EvaluationObserver, POLICIES, Policy, evaluate};
 use iwol_sumo::metrics::EvaluationResult;
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
@@ -22,6 +22,9 @@ use iwol_sumo::rng::Seed;
 use self::setup::Setup;
 use super::Verdict;
 
+/// Beginning of the names of policies from ONNX files.
+const ONNX: &str = "onnx:";
+
 /// Policies act deterministically, on seeds that training does not use. Results are means with 95 %
 /// intervals.
 #[derive(Debug, clap::Args)]
@@ -29,9 +32,10 @@ pub(super) struct Args {
     /// Run folder (its best checkpoint) or checkpoint file
     #[arg(value_name = "RUN_OR_CHECKPOINT", required_unless_present = "policy")]
     run: Option<PathBuf>,
-    /// Policy without training: throttle:A (constant throttle A in -1..1), pursuit:SPEED (pure
+    /// Policy without a run: throttle:A (constant throttle A in -1..1), pursuit:SPEED (pure
     /// pursuit of the route at SPEED in m/s), fcfs:SPEED (pure pursuit that gives way first come,
-    /// first served), gaussian, uniform or sumo; may be repeated
+    /// first served), gaussian, uniform, sumo, or onnx:FILE (a policy from an ONNX file); may be
+    /// repeated
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]
@@ -70,17 +74,27 @@ pub(super) struct Args {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
-    let mut policies = Vec::new();
+    let mut known = Vec::new();
     for name in &args.policy {
-        let policy = Policy::by_name(name).with_context(|| {
-            format!(
-                "there is no policy `{name}`; choose one of {} with a in -1..1 and speed in m/s, above 0",
+        let policy = Policy::by_name(name);
+        if policy.is_none() && !name.starts_with(ONNX) {
+            bail!(
+                "there is no policy `{name}`; choose one of {ONNX}<file>, {} with a in -1..1 and speed in m/s, above 0",
                 POLICIES.join(", ")
-            )
-        })?;
-        policies.push((name.clone(), policy));
+            );
+        }
+        known.push((name.clone(), policy));
     }
     let setup = Setup::new(args)?;
+    let models = args.policy.iter().filter_map(|name| name.strip_prefix(ONNX));
+    let models: Vec<Box<dyn Controller>> =
+        models.map(|file| setup.model(Path::new(file))).collect::<anyhow::Result<_>>()?;
+    let mut next = models.iter();
+    let mut policies: Vec<(String, Policy<'_>)> = Vec::new();
+    for (name, policy) in known {
+        let model = || Policy::Learned(&**next.next().expect("a model for each name"));
+        policies.push((name, policy.unwrap_or_else(model)));
+    }
     let Setup { task, hosting, .. } = &setup;
     if let Some(line) = task.left_out() {
         say!("{line}");
@@ -89,6 +103,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if let Some((name, controller)) = &trained {
         policies.insert(0, ((*name).to_owned(), Policy::Learned(&**controller)));
     }
+    let of_run = |number: usize| trained.is_some() && number == 0;
 
     if args.record_episode >= args.episodes {
         bail!(
@@ -117,7 +132,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let program = Program::current();
     let mut rows = Vec::new();
     let mut recorded = None;
-    for (name, policy) in &policies {
+    for (number, (name, policy)) in policies.iter().enumerate() {
         let bar = ProgressBar::new(args.episodes);
         bar.set_style(
             ProgressStyle::with_template("{msg} {bar:30} {pos}/{len} episodes  ETA {eta}")
@@ -128,7 +143,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let mut recorder = args
             .record
             .as_ref()
-            .filter(|_| rows.is_empty())
+            .filter(|_| number == 0)
             .map(|_| Recorder::new(task, args.record_episode));
         let mut show = |done| bar.set_position(done);
         let observer =
@@ -164,10 +179,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,
-            checkpoint: setup.checkpoint.clone().filter(|_| matches!(policy, Policy::Learned(_))),
+            checkpoint: setup.checkpoint.clone().filter(|_| of_run(number)),
             set: args.set.clone(),
             program: program.clone(),
-            run: setup.training.clone().filter(|_| matches!(policy, Policy::Learned(_))),
+            run: setup.training.clone().filter(|_| of_run(number)),
             metrics,
         });
     }

@@ -3,7 +3,7 @@
 use rand::RngExt as _;
 
 use super::{Knowledge, Policy, WORLDS};
-use crate::env::{Task, VecEnv};
+use crate::env::{self, Task, VecEnv};
 use crate::replay::{RecordedDiagnostics, Recorder};
 use crate::rng::{self, Seed};
 
@@ -20,12 +20,15 @@ pub trait Actor {
 
     /// Chooses the actions of all worlds, and returns diagnostics of the decision in the world
     /// `watched`.
+    ///
+    /// # Errors
+    /// [`env::Error::Policy`] if the policy cannot choose them.
     fn act(
         &mut self,
         env: &VecEnv,
         actions: &mut [f32],
         watched: Option<usize>,
-    ) -> RecordedDiagnostics;
+    ) -> Result<RecordedDiagnostics, env::Error>;
 
     /// Returns how well the policy's latent predicted its targets so far.
     fn knowledge(&self) -> Vec<Knowledge>;
@@ -63,7 +66,7 @@ impl<'a> PolicyDriver<'a> {
         }
     }
 
-    pub(super) fn act(&mut self, env: &VecEnv) {
+    pub(super) fn act(&mut self, env: &VecEnv) -> Result<(), env::Error> {
         let worlds = env.worlds();
         let watched = env
             .worlds()
@@ -97,7 +100,7 @@ impl<'a> PolicyDriver<'a> {
             }
             Policy::Learned(_) => {
                 let actor = self.actor.as_mut().expect("a trained policy has an actor");
-                diagnostics = actor.act(env, &mut self.actions, watched.map(|(world, _)| world));
+                diagnostics = actor.act(env, &mut self.actions, watched.map(|(world, _)| world))?;
             }
         }
         if let (Some(recorder), Some((e, world))) = (&mut self.recorder, watched) {
@@ -108,5 +111,6 @@ impl<'a> PolicyDriver<'a> {
             };
             recorder.decide(world, actions, &diagnostics);
         }
+        Ok(())
     }
 }

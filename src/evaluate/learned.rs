@@ -9,7 +9,7 @@ use super::{Actor, Controller, Knowledge, WORLDS};
 use crate::algo::{
     ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation, store_frames,
 };
-use crate::env::{Task, VecEnv};
+use crate::env::{self, Task, VecEnv};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
@@ -78,7 +78,7 @@ impl Actor for LearnedActor<'_> {
         env: &VecEnv,
         actions: &mut [f32],
         watched: Option<usize>,
-    ) -> RecordedDiagnostics {
+    ) -> Result<RecordedDiagnostics, env::Error> {
         let LearnedPolicy { learner, channel } = self.policy;
         let mut sources = [Seed::new(0); WORLDS];
         let mut episodes = [0; WORLDS];
@@ -120,7 +120,7 @@ impl Actor for LearnedActor<'_> {
         self.decisions += 1;
         self.memory = decision.memory;
         decision.action.reshape([-1]).copy_data(actions, actions.len());
-        diagnostics
+        Ok(diagnostics)
     }
 
     fn knowledge(&self) -> Vec<Knowledge> {

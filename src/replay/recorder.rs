@@ -157,13 +157,23 @@ impl Recorder {
         }
     }
 
-    /// Returns the recording of the episode as far as it has been played; `None` before the first
-    /// decision.
+    /// Returns the recording of the episode as far as `world` has played it. Its last step is the
+    /// present one. `None` if the world plays another episode and nothing has been recorded.
     ///
     /// # Errors
     /// As [`Recorder::finish`].
-    pub fn so_far(&self, task: &Task, policy: &str, seed: u64) -> Result<Option<Recording>, Error> {
-        let recorder = Self { finished: !self.rows.reward.is_empty(), ..self.clone() };
+    pub fn so_far(
+        &self,
+        task: &Task,
+        world: &World,
+        policy: &str,
+        seed: u64,
+    ) -> Result<Option<Recording>, Error> {
+        let mut recorder = self.clone();
+        if recorder.watches(world) {
+            recorder.decide(world, &[], &RecordedDiagnostics::default());
+        }
+        recorder.finished = !recorder.rows.status.is_empty();
         recorder.finish(task, policy, seed, None)
     }
 

@@ -16,7 +16,7 @@ fn wrong_names_are_told_what_there_is() {
     "#);
     assert_snapshot!(failure(&mut iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "throtle:1"])), @r#"
     2
-    error: there is no policy `throtle:1`; choose one of throttle:<a>, pursuit:<speed>, fcfs:<speed>, gaussian, uniform, sumo with a in -1..1 and speed in m/s, above 0
+    error: there is no policy `throtle:1`; choose one of onnx:<file>, throttle:<a>, pursuit:<speed>, fcfs:<speed>, gaussian, uniform, sumo with a in -1..1 and speed in m/s, above 0
     "#);
     assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--set", "ppo.gama=0.9"])), @r#"
     2

@@ -58,8 +58,9 @@ const ALLOWED: [(&str, &[&str]); 28] = [
     ("main", &[]),
 ];
 /// Crates that only some modules may use.
-const CRATES: [(&str, &[&str]); 4] = [
+const CRATES: [(&str, &[&str]); 5] = [
     ("tch", &["nn", "algo", "checkpoint", "evaluate", "train", "cli"]),
+    ("rten", &["evaluate"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),
     ("indicatif", &["cli"]),

@@ -19,6 +19,7 @@ mod layers;
 mod learners;
 mod levels;
 mod nets;
+mod onnx_policies;
 mod pages;
 mod policies;
 mod pytorch_reference;

@@ -5,7 +5,7 @@
 >>> observations, infos = env.reset(seed=0)
 
 :func:`parallel_env` is one world by PettingZoo's conventions, :func:`vec_env` many worlds as NumPy arrays,
-:func:`evaluate` measures a policy.
+:func:`evaluate` measures a policy, :mod:`iwol_sumo.scenario` makes, checks and draws scenarios.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import weakref
 from collections.abc import Mapping
 from typing import Any
 
-from . import _native
+from . import _native, scenario
 from ._evaluation import evaluate
 from ._native import __version__
 from ._parallel import VehicleEnv
@@ -38,6 +38,7 @@ __all__ = [
     "env",
     "evaluate",
     "parallel_env",
+    "scenario",
     "scenario_file",
     "scenarios",
     "settings",
@@ -56,6 +57,7 @@ _open: weakref.WeakSet[Any] = weakref.WeakSet()
 def _close_all() -> None:
     for environment in list(_open):
         environment.close()
+    _native.silence()
 
 
 def parallel_env(
@@ -74,7 +76,7 @@ def parallel_env(
         scenario: name of a scenario of the package (:func:`scenarios`), or path of a scenario file.
         agents: number of vehicles; the scenario's default without it.
         seed: stream of episodes until :meth:`VehicleEnv.reset` gets another.
-        render_mode: ``"html"`` or ``"svg"`` records episodes for :meth:`VehicleEnv.render`.
+        render_mode: ``"html"``, ``"svg"`` or ``"rgb_array"`` records episodes for :meth:`VehicleEnv.render`.
         overrides: other values of the scenario's settings, such as ``{"observation.neighbours": 2}``;
             :func:`settings` lists them.
         timeout: longest wait for an answer of SUMO [s].

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,23 @@ from numpy.typing import NDArray
 from ._vec import Frame
 
 __version__: str
+__all__ = [
+    "NativeEnv",
+    "NativeTask",
+    "__version__",
+    "also_look_in",
+    "check_scenario",
+    "evaluate",
+    "import_map",
+    "import_sumocfg",
+    "new_scenario",
+    "overridable",
+    "show_scenario",
+    "silence",
+    "sumo",
+]
 
+@final
 class NativeTask:
     def __new__(cls, path: str | os.PathLike[str], agents: int | None, overrides: Sequence[tuple[str, str]]) -> NativeTask: ...
     @property
@@ -32,18 +48,40 @@ class NativeTask:
     @property
     def state(self) -> list[tuple[str, str, float, float]]: ...
 
+@final
 class NativeEnv:
     def __new__(cls, task: NativeTask, worlds: int, processes: int, timeout: float, audit: bool) -> NativeEnv: ...
     def start(self, seed: int, episode: int, record: bool, arrays: Frame) -> None: ...
     def step(self, actions: NDArray[np.float32], arrays: Frame) -> list[tuple[int, str]]: ...
+    def repeat(self, actions: NDArray[np.float32]) -> None: ...
     def episodes(self) -> list[int]: ...
     def render(self, html: bool) -> str | None: ...
+    def pixels(self) -> NDArray[np.uint8] | None: ...
     def save_recording(self, path: str | os.PathLike[str]) -> bool: ...
     def close(self) -> None: ...
 
 def evaluate(
     task: NativeTask, policy: str | Callable[..., Any], name: str, episodes: int, seed: int
 ) -> tuple[str, str]: ...
+def new_scenario(
+    root: str | os.PathLike[str],
+    name: str,
+    template: str,
+    sizes: tuple[int | None, float | None, int, float, bool],
+) -> os.PathLike[str]: ...
+def import_map(
+    root: str | os.PathLike[str],
+    name: str,
+    file: str | os.PathLike[str],
+    osm: bool,
+    choices: tuple[str | None, int, bool, bool, bool],
+) -> tuple[os.PathLike[str], list[tuple[str, str, int, int, int]], list[str], list[str]]: ...
+def import_sumocfg(
+    root: str | os.PathLike[str], name: str, file: str | os.PathLike[str], agents: int | None
+) -> tuple[os.PathLike[str], list[tuple[str, str, int, int, int]], list[str], list[str]]: ...
+def check_scenario(file: str | os.PathLike[str], agents: int | None, steps: int, seed: int) -> str: ...
+def show_scenario(file: str | os.PathLike[str], agents: int | None, html: bool) -> str: ...
 def overridable(path: str | os.PathLike[str]) -> list[tuple[str, str | None, str]]: ...
-def sumo() -> tuple[str, str, str]: ...
+def sumo() -> tuple[os.PathLike[str], str, str]: ...
+def silence() -> None: ...
 def also_look_in(folder: str | os.PathLike[str]) -> None: ...

@@ -154,7 +154,12 @@ class VecEnv:
         Args:
             seed: stream of episodes, from now on; without it, the present one from its first episode. 0 to 2⁶⁴ − 1.
             options: ``{"episode": k}`` lets world e start with episode k + e. Other entries are ignored.
+
+        Raises:
+            Error: if `options` has ``"reset_mask"``: worlds reset themselves, and only all of them together.
         """
+        if "reset_mask" in (options or {}):
+            raise Error("single worlds cannot be reset (reset_mask): they reset themselves in the step after an episode")
         self._seed = self._seed if seed is None else seed
         frame = self._empty() if self._copy else self._frame
         self._env.start(self._seed, int((options or {}).get("episode", 0)), False, frame)
@@ -233,8 +238,13 @@ class FlatVecEnv(gymnasium.vector.VectorEnv):
         """Performs one decision; `actions` is ``[E·N, A]``."""
         env = self.env
         frame = env.step(np.asarray(actions).reshape(env.num_envs, env.agents, -1))
-        flat = [array.reshape(-1) for array in (frame.reward, frame.terminated, frame.truncated)]
-        return frame.observation.reshape(self.num_envs, -1), *flat, self._infos(frame)
+        return (
+            frame.observation.reshape(self.num_envs, -1),
+            frame.reward.reshape(-1),
+            frame.terminated.reshape(-1),
+            frame.truncated.reshape(-1),
+            self._infos(frame),
+        )
 
     def close_extras(self, **_: Any) -> None:
         """Ends SUMO."""

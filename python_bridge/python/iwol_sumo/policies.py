@@ -1,7 +1,7 @@
 """Policies that ``iwol train`` has trained, in PyTorch.
 
 The networks have the names of the checkpoint's tensors, so that loading is strict. The methods are those of which a
-vehicle decides by itself or by one exchange of messages: MAPPO, Im-IWoL and Ex-IWoL.
+vehicle decides by itself or by one exchange of messages: MAPPO, Im-IWoL, Ex-IWoL, MADDPG and MADDPG with IWoL.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from .errors import Error
 
 HEADS = 4
+METHODS = ("mappo", "im-iwol", "ex-iwol", "maddpg", "maddpg-iwol")
 
 
 class Layer(nn.Module):
@@ -153,11 +154,12 @@ class Policy(nn.Module):
     """Name of the method."""
 
     def mean(self, observation: Tensor, comm: Tensor) -> Tensor:
-        """Returns the mean actions before they are clipped."""
+        """Returns the mean actions before they are bounded."""
         raise NotImplementedError
 
     def forward(self, observation: Tensor, comm: Tensor) -> Tensor:
-        return self.mean(observation, comm).clamp(-1, 1)
+        mean = self.mean(observation, comm)
+        return mean.tanh() if self.algorithm.startswith("maddpg") else mean.clamp(-1, 1)
 
     def __call__(self, observation: Any, comm: Any, *_: NDArray[np.bool_]) -> Any:
         if isinstance(observation, Tensor):
@@ -167,7 +169,7 @@ class Policy(nn.Module):
 
 
 class Mappo(Policy):
-    """The policy of MAPPO."""
+    """The policy of MAPPO and MADDPG."""
 
     def __init__(self, inputs: int, hidden: int, actions: int) -> None:
         super().__init__()
@@ -178,7 +180,7 @@ class Mappo(Policy):
 
 
 class ImIwol(Policy):
-    """The policy of Im-IWoL, on its latent and embedding."""
+    """The policy of Im-IWoL and of MADDPG with IWoL, on its latent and embedding."""
 
     def __init__(self, inputs: int, hidden: int, latent: int, actions: int) -> None:
         super().__init__()
@@ -248,16 +250,16 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
     algorithm = metadata.get("algorithm", "")
     trunk = "trunk." if algorithm == "ex-iwol" else ""
     first = state.get(f"{trunk}encoder.mlp.layers.0.linear.weight")
-    if algorithm not in ("mappo", "im-iwol", "ex-iwol") or first is None or any(".gru." in name for name in state):
+    if algorithm not in METHODS or first is None or any(".gru." in name for name in state):
         raise Error(
-            f"{str(path)!r} holds {algorithm or 'no method'!r}; mappo, im-iwol and ex-iwol with the encoder mlp can be loaded"
+            f"{str(path)!r} holds {algorithm or 'no method'!r}; allowed: {', '.join(METHODS)}, with the encoder mlp"
         )
     hidden, inputs = first.shape
     actions = len(state["head.log_std"])
     policy: Policy
-    if algorithm == "mappo":
+    if algorithm in ("mappo", "maddpg"):
         policy = Mappo(inputs, hidden, actions)
-    elif algorithm == "im-iwol":
+    elif algorithm in ("im-iwol", "maddpg-iwol"):
         policy = ImIwol(inputs, hidden, len(state["latent.1.bias"]), actions)
     else:
         rounds = {name.split(".")[3] for name in state if name.startswith("trunk.transformer.rounds.")}

@@ -8,7 +8,7 @@ use iwol_sumo::algo::{self, Algorithm, Channel};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Resolution};
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::{Controller, LearnedPolicy};
+use iwol_sumo::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
 use iwol_sumo::provenance::Training;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
@@ -92,6 +92,11 @@ impl Setup {
     pub(super) fn controller(&self) -> Option<(&'static str, Box<dyn Controller + '_>)> {
         let (learner, channel) = self.learned.as_ref()?;
         Some((learner.name(), Box::new(LearnedPolicy { learner: &**learner, channel: *channel })))
+    }
+
+    /// Returns the policy of an ONNX file.
+    pub(super) fn model(&self, file: &Path) -> anyhow::Result<Box<dyn Controller>> {
+        Ok(Box::new(OnnxPolicy::load(file, &self.task)?))
     }
 }
 

@@ -1,5 +1,6 @@
 //! The task that the command line of `iwol evaluate` names, in builds without the feature `learn`.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
@@ -64,5 +65,11 @@ impl Setup {
     #[allow(clippy::unused_self, reason = "builds with the feature `learn` may have one")]
     pub(super) fn controller(&self) -> Option<(&'static str, Box<dyn Controller + '_>)> {
         None
+    }
+
+    /// Returns the policy of an ONNX file: none.
+    #[allow(clippy::unused_self, reason = "builds with the feature `learn` have some")]
+    pub(super) fn model(&self, _: &Path) -> anyhow::Result<Box<dyn Controller>> {
+        bail!(crate::cli::absent::needs_learn("`--policy onnx:FILE`"))
     }
 }

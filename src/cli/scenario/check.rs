@@ -1,18 +1,14 @@
 //! `iwol scenario check`
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::{Context as _, ensure};
-use iwol_sumo::env;
-use iwol_sumo::inspect::Trial;
+use iwol_sumo::inspect::{Report, Trial, check};
 use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::{Demand, Finding, Findings, Scenario, Severity};
-use iwol_sumo::sumo::{self, Hosting};
+use iwol_sumo::scenario::Severity;
 use iwol_sumo::words::counted;
-use serde::Serialize;
 
 use super::Verdict;
-use crate::cli::chain;
 
 /// Reads the file and its nets, then runs a trial of the scenario in SUMO.
 #[derive(Debug, clap::Args)]
@@ -37,110 +33,33 @@ pub(super) struct Args {
     json: bool,
 }
 
-/// The result, as printed with `--json`.
-#[derive(Serialize)]
-struct Report<'a> {
-    scenario: &'a Path,
-    errors: usize,
-    warnings: usize,
-    findings: &'a [Finding],
-    trial: Option<&'a Trial>,
-}
-
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let file = std::fs::metadata(&args.scenario);
     let file = file.with_context(|| format!("cannot read `{}`", args.scenario.display()))?;
     ensure!(file.is_file(), "`{}` is not a file", args.scenario.display());
-    let mut findings = Scenario::check(&args.scenario);
-    let trial = match &findings.scenario {
-        Some(scenario) if args.steps > 0 => {
-            let agents = args.agents.unwrap_or(scenario.agents.default);
-            let hosting = Hosting::default();
-            let refused = Trial::refused(scenario, agents, &hosting);
-            let trial = refused.and_then(|refused| {
-                let seed = Seed::new(args.seed);
-                Ok((refused, Trial::run(scenario, agents, args.steps, seed, &hosting)?))
-            });
-            match trial {
-                Ok((refused, trial)) => {
-                    findings.list.extend(refused);
-                    findings.list.extend(trial.findings(scenario));
-                    Some(trial)
-                }
-                Err(error) if is_fault_of_scenario(&error) => {
-                    findings.list.push(failed(&error, scenario));
-                    None
-                }
-                Err(error) => return Err(error).context("the trial could not be run"),
-            }
-        }
-        _ => None,
-    };
-    let count =
-        |severity| findings.list.iter().filter(|finding| finding.severity == severity).count();
-    let (errors, warnings) = (count(Severity::Error), count(Severity::Warning));
+    let report = check(&args.scenario, args.agents, args.steps, Seed::new(args.seed))
+        .context("the trial could not be run")?;
     if args.json {
-        let report = Report {
-            scenario: &args.scenario,
-            errors,
-            warnings,
-            findings: &findings.list,
-            trial: trial.as_ref(),
-        };
         tell!("{}", serde_json::to_string(&report)?);
     } else {
-        print(&findings, trial.as_ref());
+        print(&report);
         tell!(
             "{}: {}, {}",
             args.scenario.display(),
-            counted(errors, "error"),
-            counted(warnings, "warning")
+            counted(report.errors, "error"),
+            counted(report.warnings, "warning")
         );
     }
-    Ok(if errors > 0 { Verdict::Bad } else { Verdict::Good })
-}
-
-/// Returns whether the scenario or its net made the trial fail, and not the machine or the
-/// requested number of agents.
-fn is_fault_of_scenario(error: &env::Error) -> bool {
-    match error {
-        env::Error::Sumo { source, .. } => {
-            matches!(
-                source,
-                sumo::Error::Exited { .. }
-                    | sumo::Error::Refused { .. }
-                    | sumo::Error::Closed { .. }
-            )
-        }
-        env::Error::Scenario(_) | env::Error::Panicked { .. } | env::Error::Replay => false,
-        _ => true,
-    }
-}
-
-fn failed(error: &env::Error, scenario: &Scenario) -> Finding {
-    let message = format!("the trial failed: {}", chain(error));
-    let (severity, kind) = (Severity::Error, "trial");
-    let finding = Finding {
-        severity,
-        kind,
-        file: scenario.path.clone(),
-        at: None,
-        message,
-        hint: error.hint(),
-    };
-    match Demand::blamed(&scenario.traffic.files, &finding.message) {
-        Some(place) => finding.moved_to(place),
-        None => finding,
-    }
+    Ok(if report.errors > 0 { Verdict::Bad } else { Verdict::Good })
 }
 
 /// Prints the trial first, so that the findings stand at the end.
-fn print(findings: &Findings, trial: Option<&Trial>) {
-    if let Some(trial) = trial {
+fn print(report: &Report) {
+    if let Some(trial) = &report.trial {
         print_trial(trial);
     }
     for severity in [Severity::Error, Severity::Warning] {
-        for finding in findings.list.iter().filter(|finding| finding.severity == severity) {
+        for finding in report.findings.iter().filter(|finding| finding.severity == severity) {
             tell!("{finding}");
         }
     }

@@ -48,6 +48,9 @@ pub enum Error {
         /// Number of attempts.
         times: u32,
     },
+    /// The policy that drives the vehicles cannot choose an action.
+    #[error("the policy cannot choose an action: {0}")]
+    Policy(String),
     /// A worker panicked, which is a defect of this program.
     #[error("a worker panicked, which is a defect of this program: {message}")]
     Panicked {

@@ -130,7 +130,6 @@ fn blind_intersection(folder: &Path) -> Arc<Task> {
     blind.observation.groups = ObservationGroups::Both;
     blind.observation.encounters = 4;
     blind.observation.foresight = 3.0;
-    blind.observation.lidar.beams = 24;
     Arc::new(Task::new(&blind, 4).expect("a task"))
 }
 
@@ -173,6 +172,35 @@ proptest! {
             }
         }
     }
+}
+
+#[test]
+fn lidar_beams_end_at_polygons() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut blind = scenario("intersection");
+    blind.occlusion = Some(buildings(folder.path()));
+    blind.observation.lidar.beams = 36;
+    let task = Arc::new(Task::new(&blind, 4).expect("a task"));
+    let o = task.spec.observation.len();
+    let (mut world, mut rails) = (world(&task, 1), Rails::new(&task));
+    world.reset(0);
+    let mut hits = 0;
+    for _ in 0..60 {
+        exchange(&mut world, &mut rails, &[0.5; 4]);
+        for i in (0..4).filter(|&i| world.frame().active[i] > 0.0) {
+            let seen = &world.frame().observation[i * o..(i + 1) * o];
+            let beams = shown(&task.spec.observation.list, seen, "lidar", "distance");
+            let pose = world.traffic().slots[i].pose;
+            for (beam, distance) in beams.iter().enumerate() {
+                let angle = pose.heading + beam as f64 * std::f64::consts::TAU / 36.0;
+                let to = 50.0 * f64::from(*distance) - 1e-3;
+                let end = [pose.x + to * angle.cos(), pose.y + to * angle.sin()];
+                assert!(!task.map.walls.block(pose.point(), end), "beam {beam} is in a wall");
+                hits += u32::from(*distance < 1.0);
+            }
+        }
+    }
+    assert!(hits > 100, "{hits}");
 }
 
 #[test]

@@ -1,0 +1,38 @@
+"""PPO of RLlib with one policy for all vehicles.
+
+    pip install iwol-sumo "ray[rllib]" torch
+    python rllib.py 10
+"""
+
+import sys
+
+from ray.rllib.algorithms.ppo import PPOConfig
+from ray.rllib.core.rl_module.rl_module import RLModuleSpec
+from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
+from ray.tune.registry import register_env
+
+import iwol_sumo
+
+
+def main(iterations: int = 2, batch: int = 1000) -> dict:
+    register_env("intersection", lambda _: ParallelPettingZooEnv(iwol_sumo.parallel_env("intersection", agents=8)))
+    config = (
+        PPOConfig()
+        .environment("intersection")
+        .multi_agent(policies={"shared"}, policy_mapping_fn=lambda agent, *_, **__: "shared")
+        .rl_module(rl_module_spec=RLModuleSpec())
+        .env_runners(num_env_runners=0)
+        .training(train_batch_size=batch, minibatch_size=128, num_epochs=2)
+    )
+    algorithm = config.build_algo()
+    try:
+        for _ in range(iterations):
+            result = algorithm.train()
+            print(result["env_runners"].get("episode_return_mean"))
+    finally:
+        algorithm.stop()
+    return result
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:]))

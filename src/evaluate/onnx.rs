@@ -1,0 +1,221 @@
+//! Policies from ONNX files in an evaluation, whoever trained them.
+//!
+//! Inputs and output are those of the models that `iwol export --onnx` writes (`algo/onnx.rs`):
+//! `observation [batch, agents, O]`, if the model has it `comm [batch, agents, agents]`, and
+//! `action [batch, agents, A]`.
+
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
+use serde_json::Value;
+
+use super::{Actor, Controller, Knowledge, WORLDS};
+use crate::env::{self, Task, VecEnv};
+use crate::replay::RecordedDiagnostics;
+use crate::rng::Seed;
+
+/// An ONNX file cannot be used as a policy.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {what}", file.display())]
+pub struct OnnxError {
+    /// The file.
+    file: PathBuf,
+    /// What is wrong with it.
+    what: String,
+}
+
+/// A policy from an ONNX file.
+pub struct OnnxPolicy {
+    model: Model,
+    observation: NodeId,
+    comm: Option<NodeId>,
+    action: NodeId,
+    /// Number of worlds of one run of the model: what the file says, or else [`WORLDS`].
+    batch: usize,
+    /// N, O and A.
+    sizes: [usize; 3],
+    options: RunOptions,
+}
+
+impl OnnxPolicy {
+    /// Reads a file, for use in a task.
+    ///
+    /// # Errors
+    /// [`OnnxError`] if the file is no ONNX model, has other inputs and outputs, is for another
+    /// number of agents, or observes something else than the task's agents do. The names of the
+    /// observation's numbers are compared if the file has the metadata of `iwol export --onnx`.
+    pub fn load(file: &Path, task: &Task) -> Result<Self, OnnxError> {
+        Self::read(file, task).map_err(|what| OnnxError { file: file.to_owned(), what })
+    }
+
+    fn read(file: &Path, task: &Task) -> Result<Self, String> {
+        // By it the library tells formats apart.
+        if file.extension().is_none_or(|end| end != "onnx") {
+            return Err("the name of an ONNX file ends in .onnx".to_owned());
+        }
+        std::fs::File::open(file).map_err(|error| format!("cannot be read: {error}"))?;
+        let model = Model::load_file(file).map_err(|error| format!("is no ONNX model: {error}"))?;
+        let spec = &task.spec;
+        let sizes @ [n, o, a] = [task.agents, spec.observation.len(), spec.actions.len()];
+        let named = |nodes: &[NodeId], name: &str| {
+            let of = |node: &&NodeId| model.node_info(**node).and_then(|node| node.name());
+            nodes.iter().find(|node| of(node) == Some(name)).copied()
+        };
+        let names = |nodes: &[NodeId]| {
+            let names = nodes.iter().filter_map(|&node| model.node_info(node)?.name());
+            names.collect::<Vec<_>>().join(", ")
+        };
+        let (inputs, outputs) = (model.input_ids(), model.output_ids());
+        let (observation, comm) = (named(inputs, "observation"), named(inputs, "comm"));
+        let expected = format!(
+            "observation [batch, {n}, {o}], and comm [batch, {n}, {n}] for policies with messages"
+        );
+        let observation =
+            observation
+                .filter(|_| inputs.len() == 1 + usize::from(comm.is_some()))
+                .ok_or_else(|| format!("has the inputs {}; allowed: {expected}", names(inputs)))?;
+        let action = named(outputs, "action")
+            .ok_or_else(|| format!("has the outputs {}, but none called action", names(outputs)))?;
+        let mut batch = WORLDS;
+        let parts = [Some(("observation", observation, o)), comm.map(|comm| ("comm", comm, n))];
+        for (name, node, width) in parts.into_iter().flatten().chain([("action", action, a)]) {
+            let Some(shape) = model.node_info(node).and_then(|node| node.shape()) else { continue };
+            let [first, agents, numbers] = &shape[..] else {
+                return Err(format!("{name} has {} dimensions instead of 3", shape.len()));
+            };
+            let differs = |found: &Dimension, wanted: usize| match found {
+                Dimension::Fixed(size) if *size != wanted => Some(*size),
+                _ => None,
+            };
+            if let Some(size) = differs(agents, n) {
+                return Err(format!("is for {size} agents; the task has {n}"));
+            }
+            if let Some(size) = differs(numbers, width) {
+                return Err(format!(
+                    "{name} has {size} numbers per agent; the scenario and its settings define {width}"
+                ));
+            }
+            if let Dimension::Fixed(size) = first {
+                batch = (*size).max(1);
+            }
+        }
+        if let Some(text) = model.metadata().get("policy") {
+            compare_names(text, task)?;
+        }
+        // Networks are small: threads would wait for each other.
+        let pool = Arc::new(ThreadPool::with_num_threads(1));
+        let options = RunOptions::default().with_thread_pool(Some(pool));
+        let policy = Self { model, observation, comm, action, batch, sizes, options };
+        policy.run(&vec![0.0; batch * n * o], &vec![0.0; batch * n * n])?;
+        Ok(policy)
+    }
+
+    /// Returns the actions `[batch, N, A]` for `observation [batch, N, O]` and `comm [batch, N, N]`.
+    fn run(&self, observation: &[f32], comm: &[f32]) -> Result<Vec<f32>, String> {
+        let (batch, [n, o, a]) = (self.batch, self.sizes);
+        let view = |width: usize, data| {
+            ValueView::from_shape([batch, n, width], data).map_err(|error| error.to_string())
+        };
+        let mut inputs = vec![(self.observation, view(o, observation)?.into())];
+        if let Some(node) = self.comm {
+            inputs.push((node, view(n, comm)?.into()));
+        }
+        let outputs = self.model.run_n(inputs, [self.action], Some(self.options.clone()));
+        let [action] = outputs.map_err(|error| format!("cannot be computed: {error}"))?;
+        let wanted = [batch, n, a];
+        match action.into_shape_vec::<f32, 3>() {
+            Ok((shape, actions)) if shape == wanted => Ok(actions),
+            Ok((shape, _)) => Err(format!("action has the shape {shape:?} instead of {wanted:?}")),
+            Err(error) => Err(format!("action is no array {wanted:?} of float32: {error}")),
+        }
+    }
+}
+
+/// Compares the names of the numbers of observations and actions with those of a task. `text` is
+/// the JSON that `iwol export --onnx` writes.
+fn compare_names(text: &str, task: &Task) -> Result<(), String> {
+    let metadata: Value = serde_json::from_str(text)
+        .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
+    let observation = task.spec.observation.list.iter().map(|feature| feature.name.as_str());
+    let actions = task.spec.actions.iter().map(|action| action.name);
+    for (part, ours) in
+        [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())]
+    {
+        let Some(rows) = metadata[part].as_array() else { continue };
+        let theirs: Vec<&str> = rows.iter().filter_map(|row| row["name"].as_str()).collect();
+        if theirs.len() != ours.len() {
+            return Err(format!(
+                "the metadata name {} numbers of {part}; the scenario and its settings define {}",
+                theirs.len(),
+                ours.len()
+            ));
+        }
+        if let Some(at) = (0..ours.len()).find(|&at| theirs[at] != ours[at]) {
+            return Err(format!(
+                "number {at} of {part} is `{}`; by the scenario and its settings it is `{}`",
+                theirs[at], ours[at]
+            ));
+        }
+    }
+    Ok(())
+}
+
+impl Controller for OnnxPolicy {
+    fn actor<'a>(&'a self, _: &'a Task, _: Seed) -> Box<dyn Actor + 'a> {
+        // Batches are whole, as of every learned policy.
+        let worlds = WORLDS.next_multiple_of(self.batch);
+        let [n, o, _] = self.sizes;
+        let (observation, comm) = (vec![0.0; worlds * n * o], vec![0.0; worlds * n * n]);
+        Box::new(OnnxActor { policy: self, observation, comm })
+    }
+}
+
+/// A policy at work.
+struct OnnxActor<'a> {
+    policy: &'a OnnxPolicy,
+    /// `[worlds, N, O]`
+    observation: Vec<f32>,
+    /// `[worlds, N, N]`
+    comm: Vec<f32>,
+}
+
+impl Actor for OnnxActor<'_> {
+    fn begin(&mut self) {
+        self.observation.fill(0.0);
+        self.comm.fill(0.0);
+    }
+
+    fn act(
+        &mut self,
+        env: &VecEnv,
+        actions: &mut [f32],
+        _: Option<usize>,
+    ) -> Result<RecordedDiagnostics, env::Error> {
+        let Self { policy, observation, comm } = self;
+        let [n, o, a] = policy.sizes;
+        for (e, world) in env.worlds().enumerate() {
+            let frame = world.frame();
+            observation[e * n * o..][..n * o].copy_from_slice(&frame.observation);
+            comm[e * n * n..][..n * n].copy_from_slice(&frame.comm);
+        }
+        let batches = observation.chunks(policy.batch * n * o);
+        let batches = batches.zip(comm.chunks(policy.batch * n * n));
+        for ((observation, comm), actions) in batches.zip(actions.chunks_mut(policy.batch * n * a))
+        {
+            let chosen = policy.run(observation, comm).map_err(env::Error::Policy)?;
+            actions.copy_from_slice(&chosen[..actions.len()]);
+        }
+        let active = env.worlds().flat_map(|world| &world.frame().active);
+        for (row, (active, action)) in active.zip(actions.chunks(a)).enumerate() {
+            if *active > 0.5 && action.iter().any(|value| value.is_nan()) {
+                return Err(env::Error::Policy(format!("the action of agent {} is NaN", row % n)));
+            }
+        }
+        Ok(RecordedDiagnostics::default())
+    }
+
+    fn knowledge(&self) -> Vec<Knowledge> {
+        Vec::new()
+    }
+}
