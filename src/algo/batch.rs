@@ -8,9 +8,9 @@ use crate::nn::{Packing, ValueNorm};
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
-/// Name of a diagnostic: the share of the physically possible edges of the learned graph that are
-/// open.
-pub(super) const EDGE_RATE: &str = "graph/edge_rate";
+/// Names of diagnostics: the mean numbers of edges per listener that the learned graph opens and
+/// that are physically possible.
+pub(super) const EDGES: [&str; 2] = ["graph/open_edges", "graph/possible_edges"];
 
 /// A rollout as tensors. The first dimension is the row `t · E + e` of step t and environment e.
 pub(super) struct Batch {
@@ -267,12 +267,12 @@ impl Shard {
         packing.take(tensors, &self.samples)
     }
 
-    /// Returns the share of the physically possible edges of a graph that are open, of all edges of
-    /// the active samples together; 0 if none is possible. `graph` and `comm` hold this shard's
-    /// rows, `[L · C, N, N]`.
-    pub(super) fn edge_rate(&self, graph: &Tensor, comm: &Tensor) -> Tensor {
-        let counts = self.pick(&count_edges(graph, comm)).sum_dim_intlist(0, false, Kind::Float);
-        counts.get(0) / counts.get(1).clamp_min(1.0)
+    /// Returns how many edges of a graph are open and how many are physically possible per
+    /// listener, means over the active samples. `graph` and `comm` hold this shard's rows,
+    /// `[L · C, N, N]`.
+    pub(super) fn edges(&self, graph: &Tensor, comm: &Tensor) -> [Tensor; 2] {
+        let counts = self.pick(&count_edges(graph, comm)).mean_dim(0, false, Kind::Float);
+        [counts.get(0), counts.get(1)]
     }
 
     /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to

@@ -47,7 +47,7 @@ use smart_default::SmartDefault;
 use tch::{Kind, Tensor};
 
 use super::CommunicationScope;
-use super::batch::{Batch, EDGE_RATE, Shard};
+use super::batch::{Batch, EDGES, Shard};
 use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
@@ -190,13 +190,18 @@ impl Networks for CommFormer {
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let known = self.represent(&scene);
-        let edges = shard.edge_rate(&known.graph, &scene.comm);
+        let [open, possible] = shard.edges(&known.graph, &scene.comm);
         let (policy, value) =
             self.sequence.losses(batch, shard, &known, &self.value, settings, norm);
         let world =
             |world: &WorldDecoder| world.loss(batch, shard, &shard.pick(&known.representation));
-        Loss::new(&policy.loss + &value, &value, [(EDGE_RATE, &edges)], &policy)
-            .with_world(settings.commformer.lambda_world, self.world.as_ref().map(world))
+        Loss::new(
+            &policy.loss + &value,
+            &value,
+            [(EDGES[0], &open), (EDGES[1], &possible)],
+            &policy,
+        )
+        .with_world(settings.commformer.lambda_world, self.world.as_ref().map(world))
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {

@@ -12,7 +12,7 @@
 
 use tch::Tensor;
 
-use super::batch::{Batch, EDGE_RATE, Shard};
+use super::batch::{Batch, EDGES, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
@@ -118,14 +118,15 @@ impl Networks for ExIwol {
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene);
-        let edges = shard.edge_rate(&messages.graph, &scene.comm);
+        let [open, possible] = shard.edges(&messages.graph, &scene.comm);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
         let world = self.world.loss(batch, shard, &m);
 
         let total = &policy.loss + iwol.lambda_world * &world + &value;
-        Loss::new(total, &value, [("loss/world", &world), (EDGE_RATE, &edges)], &policy)
+        let own = [("loss/world", &world), (EDGES[0], &open), (EDGES[1], &possible)];
+        Loss::new(total, &value, own, &policy)
     }
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {

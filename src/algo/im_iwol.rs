@@ -17,7 +17,7 @@
 
 use tch::Tensor;
 
-use super::batch::{Batch, EDGE_RATE, Shard};
+use super::batch::{Batch, EDGES, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::{LatentDecoder, WorldDecoder, mean_squared_error};
@@ -156,7 +156,7 @@ impl Networks for ImIwol {
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let (ppo, iwol) = (&settings.ppo, &settings.iwol);
-        let (values, messages, edges) = self.critic.shard(batch, shard);
+        let (values, messages, [open, possible]) = self.critic.shard(batch, shard);
         let value = value_loss(batch, shard, &values, norm);
 
         let f = encode_active(
@@ -175,7 +175,12 @@ impl Networks for ImIwol {
 
         let actor =
             &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;
-        let own = [("loss/world", &world), ("loss/interaction", &interaction), (EDGE_RATE, &edges)];
+        let own = [
+            ("loss/world", &world),
+            ("loss/interaction", &interaction),
+            (EDGES[0], &open),
+            (EDGES[1], &possible),
+        ];
         Loss::new(actor + &value, &value, own, &policy)
     }
 

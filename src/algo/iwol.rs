@@ -41,7 +41,8 @@ pub struct Iwol {
     pub decoded: f64,
     /// Number added to the score of every edge. With 3, nineteen of twenty edges are open at the
     /// beginning of training, and learning closes some of them; with 0 (released) about half of
-    /// them are open. `graph/edge_rate` in `metrics.jsonl` says how many are.
+    /// them are open. `graph/open_edges` of
+    /// `graph/possible_edges` in `metrics.jsonl` says how many are.
     pub graph_bias: f64,
     /// Whether the value function also reads the privileged state, as those of the other methods do.
     /// Otherwise it reads local observations and messages only (paper). The policy reads neither.

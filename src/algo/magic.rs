@@ -33,7 +33,7 @@ use serde::{Deserialize, Serialize};
 use tch::Tensor;
 
 use super::CommunicationScope;
-use super::batch::{Batch, EDGE_RATE, Shard};
+use super::batch::{Batch, EDGES, Shard};
 use super::channel::{Channel, ChannelNoise, exchange, of_everyone, of_receivers};
 use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
@@ -192,12 +192,18 @@ impl Networks for Magic {
         let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.exchange(&scene);
-        let edges = shard.edge_rate(&messages.graph, &scene.comm);
+        let [open, possible] = shard.edges(&messages.graph, &scene.comm);
         let [message, embedding] =
             shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
-        Loss::new(&policy.loss + &value, &value, [(EDGE_RATE, &edges)], &policy).with_world(
+        Loss::new(
+            &policy.loss + &value,
+            &value,
+            [(EDGES[0], &open), (EDGES[1], &possible)],
+            &policy,
+        )
+        .with_world(
             settings.magic.lambda_world,
             self.world.as_ref().map(|world| world.loss(batch, shard, &message)),
         )

@@ -126,11 +126,11 @@ impl MessageCritic {
     }
 
     /// Returns the values (normalised) of a shard's active samples, `[B]`, the messages that they
-    /// read, `[B, D]`, and the share of possible edges that are open.
-    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, Tensor) {
+    /// read, `[B, D]`, and the numbers of open and of possible edges per listener.
+    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, [Tensor; 2]) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene);
-        let edges = shard.edge_rate(&messages.graph, &scene.comm);
+        let edges = shard.edges(&messages.graph, &scene.comm);
         let Some(state) = &self.state else {
             let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
             let value = self.value.forward(&read).squeeze_dim(-1);

@@ -56,8 +56,9 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
 fn behind_leader(knowledge: Knowledge<'_>, slot: usize, j: usize, brakes: f64) -> f64 {
     let [own, other] = [slot, j].map(|slot| &knowledge.traffic.slots[slot]);
     let route = &knowledge.routes[own.route];
-    let present = other.status != Status::Empty;
-    let gap = route.gap_to_leader(own.s, other.route, other.s).filter(|_| present);
+    // What stands already has its place in the way by its outline (`free`), also beside a fork.
+    let drives = other.status == Status::Active && other.speed > 0.0;
+    let gap = route.gap_to_leader(own.s, other.route, other.s).filter(|_| drives);
     gap.map_or(f64::INFINITY, |gap| {
         let lengths = f64::midpoint(own.size[0], other.size[0]);
         gap - lengths + other.speed * other.speed / (2.0 * brakes)

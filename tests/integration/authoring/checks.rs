@@ -45,37 +45,37 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:118:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
+    site.xml:134:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:118:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
+    site.xml:134:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:122:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+    site.xml:138:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:122:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
+    site.xml:138:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
       hint: increase the range, unless agents should not communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
-    site.xml:100:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, but agents observe only 6 m
+    site.xml:116:36: warning: at 13.889 m/s a vehicle needs 8 m to stop, but agents observe only 6 m
       hint: increase detectionRange, or reduce maxSpeed
     "#);
     insta::assert_snapshot!(warned(&[("conflictStreams=\"6\"", "conflictStreams=\"0\"")]), @r#"
-    site.xml:100:18: warning: agents observe no vehicle that crosses their route
+    site.xml:116:18: warning: agents observe no vehicle that crosses their route
       hint: set one of neighbours (with groups `nearest`), conflictStreams (with groups `conflict`), encounters and lidarBeams to a number above 0
     "#);
     let encounters = ("conflictStreams=\"6\"", "conflictStreams=\"0\" encounters=\"4\"");
     assert!(!warned(&[encounters]).contains("observe no vehicle"), "encounters show them");
     insta::assert_snapshot!(warned(&[("maxSpeed=\"13.889\"", "maxSpeed=\"20\"")]), @r#"
-    site.xml:59:43: warning: agents may drive 20 m/s, but the speed limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s
+    site.xml:71:43: warning: agents may drive 20 m/s, but the speed limit of lane `west_in_0` of ../sumo_nets/site/site.net.xml is 13.889 m/s
       hint: speed limits of lanes do not slow agents down; reduce maxSpeed if agents should keep the limit
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:111:66: warning: the reward of a crash is not below the reward of an arrival
+    site.xml:127:66: warning: the reward of a crash is not below the reward of an arrival
       hint: scenarios/intersection.xml has weights with which agents learn
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"

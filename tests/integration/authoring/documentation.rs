@@ -64,8 +64,11 @@ fn accepted(text: &str) -> BTreeMap<String, BTreeSet<String>> {
 #[test]
 fn all_that_the_reader_accepts_is_documented_and_nothing_else() {
     let text = fs::read_to_string(root().join("scenarios/intersection_turns_small.xml")).unwrap();
-    let accepted =
-        accepted(&text.replace("</scenario>", "<traffic penetration=\"0.5\"/></scenario>"));
+    let kind = "<kind id=\"a\" share=\"1\" length=\"1\" width=\"1\" maxSpeed=\"1\" accel=\"1\" brake=\"1:1\"/>";
+    let more = "<occlusion file=\"a\"/><traffic penetration=\"0.5\"/></scenario>";
+    let vehicle = |end: &str| format!("maxSpeed=\"22.222\"{end}");
+    let with_kind = text.replace(&vehicle("/>"), &vehicle(&format!(">{kind}</vehicle>")));
+    let accepted = accepted(&with_kind.replace("</scenario>", more));
     let describe = |element: &Element| {
         let attributes = element.attributes.iter().map(|attribute| attribute.name.clone());
         (

@@ -51,6 +51,7 @@ fn agents_observe_what_the_rule_goes_by() {
             let above = |x: f64, least: f64| x > least + 1e-4;
             let leader = view.speed + 10.0 * f64::from(seen[closing]);
             let behind = match seen[leads] {
+                _ if leader <= 1e-4 => f64::INFINITY,
                 0.0 => f64::INFINITY,
                 _ => 50.0 * f64::from(seen[gap]) + leader * leader / 12.0,
             };
