@@ -283,7 +283,7 @@ fn mistake(from: &str, to: &str) -> String {
 #[test]
 fn misspelt_names_are_pointed_at() {
     insta::assert_snapshot!(mistake("<jitter longitudinal", "<jitter longitudnal"), @"task.xml:55:13: unknown attribute `longitudnal` in <jitter>; did you mean `longitudinal`? (hint: valid in <jitter>: longitudinal, lateral)");
-    insta::assert_snapshot!(mistake("<vehicle ", "<vehicel "), @"task.xml:52:5: unknown element `vehicel` in <scenario>; did you mean `vehicle`? (hint: valid in <scenario>: description, agents, routes, nets, vehicle, jitter, control, observation, reward, termination, communication, traffic)");
+    insta::assert_snapshot!(mistake("<vehicle ", "<vehicel "), @"task.xml:52:5: unknown element `vehicel` in <scenario>; did you mean `vehicle`? (hint: valid in <scenario>: description, agents, routes, nets, vehicle, jitter, control, observation, reward, termination, communication, occlusion, traffic)");
     insta::assert_snapshot!(mistake("<spawn route=\"westbound\"", "<spawn route=\"westbund\""), @"task.xml:27:20: route `westbund` is not the id of a route; did you mean `westbound`?");
     insta::assert_snapshot!(mistake("<communication range=\"100\"/>", "<communication range=\"100\">far</communication>"), @"task.xml:74:32: unknown text `far` in <communication>");
     insta::assert_snapshot!(mistake("xsi:noNamespace", "xmlns:o=\"o\" o:a=\"1\" xsi:noNamespace"), @"task.xml:8:97: unknown attribute `a` in <scenario> (hint: valid in <scenario>: name)");
@@ -427,8 +427,8 @@ prop_compose! {
             nets,
             routes: routes.into_iter().map(|(id, (edges, arrival_pos))| Route { id, edges, lane: None, arrival_pos, reserved: false, off_lane: [1.0, -1.0][counts[1] % 2] }).collect(),
             vehicle: Vehicle { length: p[0], width: p[1], max_speed: p[2] },
-            kinds: (0..counts[2] % 3).map(|k| VehicleVariant {
-                id: format!("kind{k}"), share: 0.3, length: p[0] * share, width: p[1] * share, max_speed: p[2] * share,
+            kinds: (0..if counts[0] % 2 == 1 { 0 } else { counts[2] % 3 }).map(|k| VehicleVariant {
+                id: format!("kind{k}"), share: 0.3, length: p[0] * fewer.max(0.1), width: p[1] * fewer.max(0.1), max_speed: p[2],
                 accel: p[3], brake: vec![(0.5, p[4]), (1.0, p[4] + 1.0)],
             }).collect(),
             jitter: Jitter { longitudinal: p[3], lateral: p[4] },
@@ -463,10 +463,10 @@ prop_compose! {
                 broken_lines: ["a", "b_1"].iter().take(counts[2] % 3).map(|&edge| edge.into()).collect(),
             },
             communication: Communication { range: p[9] },
-            occlusion: (counts[1] > 4).then(|| Occlusion {
+            occlusion: (counts[1] % 4 == 0).then(|| Occlusion {
                 file: "some/folder/walls.add.xml".into(),
                 types: ["building", "wall"].iter().take(counts[0] % 3).map(|&kind| kind.into()).collect(),
-                sight: counts[0] % 2 == 1, radio: counts[2] % 2 == 0,
+                sight: counts[1] == 0, radio: counts[2] % 2 == 0,
             }),
             traffic: Traffic {
                 penetration: share.max(0.01),

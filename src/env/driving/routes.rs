@@ -224,7 +224,9 @@ pub(super) fn geometry(
         let stretches = identity.into_iter().chain(extended(path, other, stretches, size));
         shared.push(stretches.collect());
         let all: Vec<_> = met.iter().map(|place| conflict(place.own, place.other)).collect();
-        let opposing = all.chunk_by(|one, next| next.other < one.other);
+        // A route that crosses itself comes to the same point twice, much further on.
+        let opposing =
+            all.chunk_by(|one, next| next.other < one.other && next.own - one.own <= ROOM);
         let ends =
             opposing.filter(|part| part.len() > 1).map(|part| [part[0], part[part.len() - 1]]);
         strips.push(ends.map(|ends| Strip::between(path, other, ends, size[1])).collect());

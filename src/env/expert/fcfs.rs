@@ -27,12 +27,13 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     let gives_way = |(slot, own): (usize, &Slot)| {
         let brakes = hardest(own);
         let seen = |space: Free, j| space.min(free(knowledge, &priorities, slot, j));
-        let mut space = (0..priorities.len()).fold(Free::ALL, seen);
-        for j in (0..priorities.len()).filter(|&j| j != slot) {
-            let before = before_strip(knowledge, &priorities, slot, j);
+        let space = (0..priorities.len()).fold(Free::ALL, seen);
+        let rules = |j: usize| {
             let behind = behind_leader(knowledge, slot, j, hardest(&traffic.slots[j]));
-            space.distance = space.distance.min(before).min(behind);
-        }
+            before_strip(knowledge, &priorities, slot, j).min(behind)
+        };
+        let others = (0..priorities.len()).filter(|&j| j != slot);
+        let room = others.map(rules).fold(f64::INFINITY, f64::min);
         let braking = own.speed * own.speed / (2.0 * brakes);
         // A vehicle that has not entered the junction waits outside, where it blocks nobody.
         let outside = to_entry(&task.map, own).is_some_and(|entry| entry < braking);
@@ -43,7 +44,7 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         };
         own.status == Status::Active
             && (own.next_signal.is_some_and(stops)
-                || space.distance < braking + RESERVE
+                || space.distance.min(room) < braking + RESERVE
                 || space.blocked < RESERVE
                 || outside && space.distance.min(space.slow) < f64::INFINITY)
     };
