@@ -325,7 +325,7 @@ fn signals_are_those_of_the_lane_after_a_lane_change() {
     for part in parts {
         let (from, to) = (part.find("<phase").unwrap(), part.find("</tlLogic>").unwrap());
         let phases = phases(part.split('"').next().unwrap());
-        changed += &format!(r#"<tlLogic id="{}{phases}{}"#, &part[..from], &part[to..]);
+        changed.extend([r#"<tlLogic id=""#, &part[..from], phases, &part[to..]]);
     }
     fs::write(&net, changed).unwrap();
     let task = task(&file, 4);

@@ -102,8 +102,9 @@ pub(crate) struct Slot {
     pub(crate) lane: Option<u32>,
     /// Number of stop lines of its route that an agent has passed, or had behind it from the start.
     pub(crate) lines_passed: usize,
-    /// Whether the agent has stood before the stop line that it comes to next.
-    pub(crate) stopped: bool,
+    /// Stop line before which the agent has stood last, by the number of lines of its route that it
+    /// had passed then.
+    pub(crate) stood_at: Option<usize>,
     /// Whether the agent passed a red signal in the last step.
     pub(crate) ran_red: bool,
     /// Number of steps in which the agent passed a red signal.

@@ -155,7 +155,7 @@ impl Signals {
     /// Returns what a signal says to the vehicle of a slot, which comes to it next.
     fn aspect_for(&self, slot: &Slot, line: &StopLine) -> Aspect {
         let aspect = self.aspect(line);
-        if slot.stopped { aspect.after_stop() } else { aspect }
+        if slot.stood_at == Some(slot.lines_passed) { aspect.after_stop() } else { aspect }
     }
 
     /// Finds the agents that passed a red signal with their fronts in the last step, or a signal
@@ -171,9 +171,12 @@ impl Signals {
                 aspect.demands_stop()
             });
             slot.red_lights += u32::from(slot.ran_red);
-            slot.stopped &= crossed.is_empty();
-            slot.stopped |= slot.speed.abs() < STANDING
-                && lines.get(passed).is_some_and(|line| line.at - front(slot) <= AT_LINE);
+            let next = lines.get(passed);
+            if slot.speed.abs() < STANDING
+                && next.is_some_and(|line| line.at - front(slot) <= AT_LINE)
+            {
+                slot.stood_at = Some(passed);
+            }
             slot.lines_passed = passed;
         }
     }
