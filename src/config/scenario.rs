@@ -13,7 +13,7 @@ use toml::{Table, Value};
 
 use super::flat::{between, flatten};
 use super::origin::{Origin, Origins};
-use super::{Change, Error, plain};
+use super::{Change, Error, plain, schema};
 use crate::scenario::{
     Attribute, Kind, Overridable, Override, Refused, Scenario, ScenarioFile, overridable,
 };
@@ -102,8 +102,8 @@ impl ScenarioSettings {
 }
 
 /// Returns the settings in which a configuration `is` differs from an earlier one, `was`, both as
-/// TOML, sorted by name. An attribute of the scenario that `was` lacks belongs to a later version
-/// of the program and counts as its default.
+/// TOML, sorted by name. A setting or an attribute of the scenario that `was` lacks belongs to a
+/// later version of the program and counts as its default.
 pub fn changes(was: &str, is: &str) -> Vec<Change> {
     let flat = |text: &str| flatten(&text.parse().unwrap_or_default());
     flat_changes(&flat(was), &flat(is))
@@ -121,6 +121,12 @@ pub(crate) fn flat_changes(
             && is.contains_key(&key)
         {
             was.entry(key).or_insert_with(|| typed(attribute, Some(default)));
+        }
+    }
+    for key in is.keys().filter(|key| !key.starts_with("scenario.")) {
+        let parts: Vec<&str> = key.split('.').collect();
+        if let Some(default) = schema::default(&parts) {
+            was.entry(key.clone()).or_insert(default);
         }
     }
     between(&was, is)

@@ -108,14 +108,24 @@ pub(super) fn names() -> Vec<String> {
 
 /// Returns the values that a setting allows, in words.
 pub(super) fn allowed(keys: &[&str]) -> Option<String> {
-    let mut group: &Value = &SCHEMA;
+    Some(setting(keys)?.allowed())
+}
+
+/// Returns the default that a setting declares.
+pub(super) fn default(keys: &[&str]) -> Option<toml::Value> {
+    toml::Value::try_from(setting(keys)?.field.get("default")?).ok()
+}
+
+/// Returns the setting with this name, by the parts of the name.
+fn setting(keys: &[&str]) -> Option<Setting<'static>> {
+    let mut group: &'static Value = &SCHEMA;
     let mut found = None;
     for key in keys {
         let setting = settings(group).find(|setting| setting.key == *key)?;
         group = setting.described;
         found = Some(setting);
     }
-    Some(found?.allowed())
+    found
 }
 
 /// Returns what a schema refers to, or the schema itself.

@@ -249,13 +249,17 @@ fn a_setting_is_a_path_into_the_scenario() {
 
 /// A run of an earlier version lacks the attributes that scenarios have got since.
 #[test]
-fn attributes_of_later_versions_count_as_their_defaults() {
+fn settings_of_later_versions_count_as_their_defaults() {
     let said =
         |was: &str, is: &str| changes(was, is).iter().map(ToString::to_string).collect::<Vec<_>>();
     let was = "[scenario.control]\naccel = 2.0\n";
     let is = |lane_change: &str| format!("{was}laneChange = \"{lane_change}\"\n");
     assert!(said(was, &is("none")).is_empty(), "none is the default");
     assert_eq!(said(was, &is("route")), ["scenario.control.laneChange = route (was none)"]);
+    let iwol = |more: &str| format!("[iwol]\nlatent = 32\n{more}");
+    assert!(said(&iwol(""), &iwol("privileged_value = false\ngraph_bias = 0.0\n")).is_empty());
+    let said = said(&iwol(""), &iwol("privileged_value = true\n"));
+    assert_eq!(said, ["iwol.privileged_value = true (was false)"]);
 }
 
 #[test]
