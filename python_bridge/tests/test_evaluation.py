@@ -68,7 +68,11 @@ def test_ctrl_c_ends_a_run_without_leaving_sumo():
         while True:
             env.step(np.zeros((4, 8, 1), np.float32))
     """
-    process = subprocess.Popen([sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    # Jobs that a shell runs in the background ignore Ctrl-C, and so would their children.
+    heed = lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)  # noqa: E731
+    process = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(code)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=heed
+    )
     assert process.stdout.readline() == "ready\n"
     assert children(process.pid)
     process.send_signal(signal.SIGINT)
