@@ -177,6 +177,7 @@ mod tests {
         // The picture shows two agents and one vehicle of the background traffic.
         assert_eq!(recording().still(0).matches("<rect").count(), 5);
         assert!(svg.contains("#e0a800") && recording().still(0).contains("#cc2b2b"), "signals");
+        assert_eq!(svg.matches("Z\" fill=\"#b9a78f\"").count(), 1, "a wall");
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
         roxmltree::Document::parse(&svg).expect("well-formed");
     }

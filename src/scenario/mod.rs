@@ -16,6 +16,7 @@ mod model;
 mod observation;
 mod occlusion;
 mod overrides;
+mod places;
 mod reader;
 mod reference;
 mod schema;
@@ -30,12 +31,12 @@ pub use error::{Error, Place};
 pub use finding::{Finding, Severity};
 pub use model::{
     AgentRange, Border, Communication, Control, FileTime, Jitter, Kind as VehicleVariant,
-    LaneChange, Net, PlaceDeparture, Reward, Route, Scenario, SpawnPlace, SpawnRow, Steering,
-    Termination, Traffic, Vehicle,
+    LaneChange, Reward, Route, Scenario, Steering, Termination, Traffic, Vehicle,
 };
 pub use observation::{Intention, Lidar, NeighbourOrder, Observation, ObservationGroups};
 pub use occlusion::{Occlusion, Polygon};
 pub use overrides::{Overridable, Override, Refused, ScenarioFile, cannot_override, overridable};
+pub use places::{Net, PlaceDeparture, SpawnPlace, SpawnRow};
 pub use reference::markdown;
 pub use schema::{Attribute, Element, Kind, SCHEMA, describe};
 pub use verify::Findings;
