@@ -17,7 +17,7 @@ pub struct Net {
 /// A row of equally spaced spawn places on the first edge of its routes.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SpawnRow {
-    /// Indices into [`Scenario::routes`] of the routes that begin here, all of them on one lane. A
+    /// Indices into [`Scenario::routes`](super::Scenario::routes) of the routes that begin here, all of them on one lane. A
     /// vehicle draws one of them in each episode.
     pub routes: Arc<[usize]>,
     /// Position of the first place on the routes' first edge \[m\].
