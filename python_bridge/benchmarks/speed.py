@@ -89,8 +89,25 @@ def dictionaries(agents: int, steps: int) -> None:
     )
 
 
+def pictures(agents: int, steps: int) -> None:
+    """Measures pictures of steps as arrays."""
+    with iwol_sumo.parallel_env("intersection", agents, render_mode="rgb_array") as env:
+        env.reset(seed=0)
+        wall = 0.0
+        for _ in range(steps):
+            if not env.agents:
+                env.reset()
+            env.step({name: np.zeros(len(env.actions), np.float32) for name in env.agents})
+            begin = time.perf_counter()
+            picture = env.render()
+            wall += time.perf_counter() - begin
+    assert isinstance(picture, np.ndarray)
+    print(f"rgb_array {picture.shape[0]} x {picture.shape[1]}: {1e3 * wall / steps:.2f} ms a picture")
+
+
 if __name__ == "__main__":
     print(f"iwol_sumo {iwol_sumo.__version__}, medians of turns of {TURN} steps")
     for num_envs, agents, turns in [(16, 8, 15), (1, 8, 30), (16, 48, 5)]:
         batched(num_envs, agents, turns)
     dictionaries(8, 3000)
+    pictures(8, 100)

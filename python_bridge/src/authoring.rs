@@ -13,7 +13,7 @@ use iwol_sumo::sumo::net::Net;
 use pyo3::prelude::*;
 
 use crate::env::refuse_after_fork;
-use crate::error::{exception, of_author, of_env, of_net, of_scenario};
+use crate::error::{exception, in_python, of_author, of_env, of_net, of_scenario};
 
 /// What an import has made: the scenario file, the junctions (id, kind, arms, routes, places),
 /// netconvert's warnings, and notes.
@@ -77,7 +77,8 @@ fn parts(imported: Imported) -> Import {
     let row =
         |site: author::Candidate| (site.junction, site.kind, site.arms, site.routes, site.places);
     let candidates = imported.candidates.into_iter().map(row).collect();
-    (imported.scenario, candidates, imported.warnings, imported.notes)
+    let notes = imported.notes.iter().map(|note| in_python(note)).collect();
+    (imported.scenario, candidates, imported.warnings, notes)
 }
 
 /// Checks a scenario, with a trial of so many steps, and returns the JSON that

@@ -40,17 +40,24 @@ pub(crate) fn of_scenario(py: Python<'_>, error: &scenario::Error) -> PyErr {
     exception(py, "ScenarioError", text(error, error.hint()))
 }
 
+/// Returns a text with what Python calls the command line's options: the argument `left_hand` for
+/// `--left-hand`, the function `import_osm` for `--osm`.
+pub(crate) fn in_python(text: &str) -> String {
+    let words = text.split_inclusive(' ').map(|word| {
+        let Some(option) = word.strip_prefix("--") else { return word.to_owned() };
+        let option = option.replace('-', "_");
+        let import = ["osm", "net", "sumocfg"].contains(&option.trim_end());
+        if import { format!("import_{option}") } else { option }
+    });
+    words.collect()
+}
+
 /// Returns the exception for an error of a scenario that is made.
 pub(crate) fn of_author(py: Python<'_>, error: &author::Error) -> PyErr {
-    let text = match error {
-        author::Error::Sumo(error) => return of_sumo(py, error),
-        // An option of the command line is an argument here.
-        author::Error::Size { option, value, allowed } => {
-            format!("{} {value}: allowed: {allowed}", option.replace('-', "_"))
-        }
-        _ => text(error, error.hint()),
-    };
-    exception(py, "ScenarioError", text)
+    if let author::Error::Sumo(error) = error {
+        return of_sumo(py, error);
+    }
+    exception(py, "ScenarioError", in_python(&text(error, error.hint())))
 }
 
 /// Returns the exception for an error of a net.

@@ -1,6 +1,5 @@
 """Policies as ONNX models."""
 
-import importlib.util
 import json
 import subprocess
 from pathlib import Path
@@ -22,12 +21,30 @@ def iwol(*arguments):
     return subprocess.run(["iwol", *map(str, arguments)], capture_output=True, text=True, cwd=ROOT)
 
 
-@pytest.fixture(params=["mappo-8", "im-iwol-8", "ex-iwol-8"])
-def exported(request, tmp_path):
-    file = tmp_path / "policy.onnx"
+@pytest.fixture(scope="module", params=["mappo-8", "im-iwol-8", "ex-iwol-8"])
+def exported(request, tmp_path_factory):
+    """A shipped policy and its model."""
+    file = tmp_path_factory.mktemp("model") / "policy.onnx"
     out = iwol("export", ROOT / "policies" / request.param, "--onnx", file)
     assert out.returncode == 0, out.stderr
     return ROOT / "policies" / request.param, file
+
+
+@pytest.fixture(scope="module", params=["maddpg", "maddpg-iwol"])
+def exported_maddpg(request, tmp_path_factory):
+    """A short run and its model."""
+    folder = tmp_path_factory.mktemp("model")
+    run, file = folder / "run", folder / "policy.onnx"
+    small = ["train.envs=2", "train.rollout_steps=32", "network.hidden=8", "iwol.message=8", "iwol.latent=4"]
+    more = ["ppo.minibatch=64", "train.validation_episodes=1", "scenario.termination.horizon=40"]
+    settings = [part for setting in small + more for part in ("--set", setting)]
+    scenario = iwol_sumo.scenario_file("intersection")
+    method = ["--algorithm", request.param]
+    out = iwol("train", "--scenario", scenario, "--agents", 4, *method, "--steps", 128, "--out", run, *settings)
+    assert out.returncode == 0, out.stderr
+    out = iwol("export", run, "--onnx", file)
+    assert out.returncode == 0, out.stderr
+    return run, file
 
 
 def test_a_model_plays_the_same_episodes_as_the_program(exported):
@@ -48,11 +65,10 @@ def test_a_model_says_what_its_numbers_mean(exported):
     assert policy.description["interval"] == 0.1
 
 
-def test_a_model_decides_as_pytorch(exported):
+def decide_as_pytorch(folder, file):
     pytest.importorskip("torch")
     from iwol_sumo.policies import load_policy
 
-    folder, file = exported
     rng = np.random.default_rng(0)
     observation = rng.uniform(-1, 1, (1000, 8, 67)).astype(np.float32)
     near = rng.random((1000, 8, 8)) < 0.5
@@ -62,32 +78,22 @@ def test_a_model_decides_as_pytorch(exported):
     assert np.quantile(difference, 0.999) < 1e-5 and (difference > 1e-4).mean() < 1e-3
 
 
-@pytest.mark.parametrize("method", ["maddpg", "maddpg-iwol"])
-def test_policies_of_maddpg_leave_as_well(method, tmp_path):
-    run, file = tmp_path / "run", tmp_path / "policy.onnx"
-    small = ["train.envs=2", "train.rollout_steps=32", "network.hidden=8", "iwol.message=8", "iwol.latent=4"]
-    more = ["ppo.minibatch=64", "train.validation_episodes=1", "scenario.termination.horizon=40"]
-    settings = [part for setting in small + more for part in ("--set", setting)]
-    scenario = iwol_sumo.scenario_file("intersection")
-    out = iwol("train", "--scenario", scenario, "--agents", 4, "--algorithm", method, "--steps", 128, "--out", run, *settings)
-    assert out.returncode == 0, out.stderr
-    out = iwol("export", run, "--onnx", file)
-    assert out.returncode == 0, out.stderr
-    policy = f"onnx:{file}"
-    out = iwol("evaluate", run, "--policy", policy, "--episodes", 2, "--json")
+def test_a_model_decides_as_pytorch(exported):
+    decide_as_pytorch(*exported)
+
+
+def test_a_model_of_maddpg_decides_as_pytorch(exported_maddpg):
+    decide_as_pytorch(*exported_maddpg)
+
+
+def test_a_model_of_maddpg_plays_the_same_episodes_as_the_program(exported_maddpg):
+    run, file = exported_maddpg
+    out = iwol("evaluate", run, "--policy", f"onnx:{file}", "--episodes", 2, "--json")
     assert out.returncode == 0, out.stderr
     wanted, by_program = (result["metrics"]["reward"]["mean"] for result in json.loads(out.stdout))
     overrides = {"termination.horizon": 40}
-    policies = [OnnxPolicy(file)]
-    if importlib.util.find_spec("torch"):
-        from iwol_sumo.policies import load_policy
-
-        policies.append(load_policy(run))
-    found = [
-        iwol_sumo.evaluate(policy, "intersection", 4, episodes=2, overrides=overrides)["metrics"]["reward"]["mean"]
-        for policy in policies
-    ]
-    assert found + [by_program] == pytest.approx([wanted] * (len(found) + 1), rel=1e-4)
+    found = iwol_sumo.evaluate(OnnxPolicy(file), "intersection", 4, episodes=2, overrides=overrides)
+    assert [found["metrics"]["reward"]["mean"], by_program] == pytest.approx([wanted] * 2, rel=1e-4)
 
 
 def test_what_has_no_model_is_refused(tmp_path):

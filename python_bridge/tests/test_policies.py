@@ -2,6 +2,8 @@
 
 import json
 import subprocess
+import sys
+import textwrap
 from pathlib import Path
 from shutil import which
 
@@ -11,7 +13,7 @@ import pytest
 import iwol_sumo
 
 torch = pytest.importorskip("torch")
-from iwol_sumo.policies import load_policy, read_checkpoint  # noqa: E402
+from iwol_sumo.policies import load_policy  # noqa: E402
 
 POLICIES = Path(__file__).parents[2] / "policies"
 
@@ -28,17 +30,51 @@ def test_a_policy_plays_the_same_episodes_as_in_the_program(name):
 
 
 def test_other_methods_and_files_are_refused(tmp_path):
-    with pytest.raises(iwol_sumo.Error, match="cannot read the checkpoint"):
+    with pytest.raises(iwol_sumo.Error, match="cannot load the policy .*No such file"):
         load_policy(tmp_path)
     (tmp_path / "bad.safetensors").write_bytes(b"nonsense")
-    with pytest.raises(iwol_sumo.Error, match="cannot read the checkpoint"):
+    with pytest.raises(iwol_sumo.Error, match="cannot load the policy"):
         load_policy(tmp_path / "bad.safetensors")
-    tensors, metadata = read_checkpoint(POLICIES / "mappo-8")
-    header = {"__metadata__": {**metadata, "algorithm": "mat"}}
+    whole = (POLICIES / "mappo-8/checkpoints/best.safetensors").read_bytes()
+    (tmp_path / "cut.safetensors").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(iwol_sumo.Error, match="not complete"):
+        load_policy(tmp_path / "cut.safetensors")
+    begin = 8 + int.from_bytes(whole[:8], "little")
+    header = json.loads(whole[8:begin])
+    header["__metadata__"]["algorithm"] = "mat"
     text = json.dumps(header).encode()
-    (tmp_path / "mat.safetensors").write_bytes(len(text).to_bytes(8, "little") + text)
+    (tmp_path / "mat.safetensors").write_bytes(len(text).to_bytes(8, "little") + text + whole[begin:])
     with pytest.raises(iwol_sumo.Error, match="holds 'mat'"):
         load_policy(tmp_path / "mat.safetensors")
+
+
+@pytest.mark.skipif(which("iwol") is None, reason="the program iwol is not on PATH")
+@pytest.mark.parametrize("name", ["mappo-8", "im-iwol-8", "ex-iwol-8"])
+def test_an_exported_folder_runs_without_the_package(name, tmp_path):
+    folder = tmp_path / "policy"
+    command = ["iwol", "export", POLICIES / name, "--pytorch", folder]
+    subprocess.run(command, capture_output=True, check=True)
+    assert len((folder / "policy.py").read_text().splitlines()) < 100
+    code = f"""
+        import sys, torch
+        sys.path.insert(0, {str(folder)!r})
+        from policy import Policy
+        torch.manual_seed(0)
+        observation, comm = torch.rand(3, 8, 67) * 2 - 1, torch.ones(3, 8, 8)
+        print(Policy({str(folder)!r})(observation, comm).tolist())
+        assert not any("iwol" in name for name in sys.modules)
+    """
+    out = subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, check=True)
+    torch.manual_seed(0)
+    observation, comm = torch.rand(3, 8, 67) * 2 - 1, torch.ones(3, 8, 8)
+    found = torch.tensor(json.loads(out.stdout))
+    for policy in (load_policy(POLICIES / name), load_policy(folder)):
+        assert torch.equal(policy(observation, comm), found)
+    description = json.loads((folder / "policy.json").read_text())
+    with iwol_sumo.parallel_env("intersection", 8) as env:
+        assert [row["name"] for row in description["observation"]] == [f.name for f in env.features]
+    again = subprocess.run(command, capture_output=True, text=True)
+    assert again.returncode == 2 and "already exists" in again.stderr
 
 
 def test_vehicles_out_of_range_change_nothing():

@@ -44,11 +44,17 @@ def test_findings_are_objects_with_places(tmp_path):
 
 
 def test_mistakes_are_exceptions(tmp_path):
+    poor = tmp_path / "poor.osm"
+    poor.write_text("<osm version='0.6'/>")
+    scenario.new("other", "tee", root=tmp_path / "other")
+    [net] = (tmp_path / "other").rglob("*.net.xml")
     for call, message in [
         (lambda: scenario.new("mine", "cros", root=tmp_path), "there is no template `cros`; choose one of cross, "),
         (lambda: scenario.new("mine", "cross", lanes=9, root=tmp_path), "^lanes 9: allowed: 1 to 4"),
         (lambda: scenario.new("my scenario", "cross", root=tmp_path), "not a valid name"),
         (lambda: scenario.import_osm(tmp_path / "none.osm", "mine", root=tmp_path), "none.osm"),
+        (lambda: scenario.import_osm(poor, "mine", root=tmp_path), "import_osm takes an extract .* import_net takes a SUMO net"),
+        (lambda: scenario.import_net(net, "mine", junction="none", root=tmp_path), "another id with junction, or leave the"),
         (lambda: scenario.import_sumocfg(tmp_path / "none.sumocfg", "mine", root=tmp_path), "none.sumocfg"),
         (lambda: scenario.check("intersecton"), "did you mean 'intersection'"),
         (lambda: scenario.check("intersection", 400), "4 to 48"),

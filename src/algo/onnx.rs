@@ -19,7 +19,7 @@ use crate::onnx::{Attribute, Dimension, Graph, Value};
 pub const METHODS: [&str; 5] = ["mappo", "im-iwol", "ex-iwol", "maddpg", "maddpg-iwol"];
 
 /// Prefix of the tensors of a policy in a checkpoint.
-const ACTOR: &str = "actor/";
+pub const ACTOR: &str = "actor/";
 
 /// Returns the graph of a policy, from the tensors of a checkpoint of deployed weights; `None` for
 /// methods and encoders that have none.

@@ -8,7 +8,8 @@ use anyhow::{Context as _, bail};
 use iwol_sumo::algo::onnx;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Document, Layers};
-use iwol_sumo::env::{Features, Task};
+use iwol_sumo::env::{Feature, Features, Task};
+use iwol_sumo::onnx::Graph;
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
 use iwol_sumo::scenario::Scenario;
@@ -24,12 +25,18 @@ pub(super) struct Args {
     /// Run folder, whose best checkpoint is copied, or checkpoint file.
     run: PathBuf,
     /// Folder to create.
-    #[arg(short, long, value_name = "DIR", required_unless_present = "onnx")]
+    #[arg(short, long, value_name = "DIR", required_unless_present_any = ["onnx", "pytorch"])]
     out: Option<PathBuf>,
     /// Write the policy as an ONNX model, for use outside of this program.
     #[arg(long, value_name = "FILE")]
     onnx: Option<PathBuf>,
+    /// Write the policy's weights into a new folder, with a Python file that runs them in PyTorch.
+    #[arg(long, value_name = "DIR")]
+    pytorch: Option<PathBuf>,
 }
+
+/// The file that runs exported weights in PyTorch. The Python package loads policies with it too.
+const PYTORCH: &str = include_str!("../../python_bridge/python/iwol_sumo/_policy.py");
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = Checkpoint::load(&RunDir::checkpoint(&args.run))?.weights();
@@ -41,6 +48,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         copy(&checkpoint, &args.run, out)?;
         tell!("{}", out.display());
     }
+    if let Some(dir) = &args.pytorch {
+        write_pytorch(checkpoint, &args.run, dir)?;
+        tell!("{}", dir.display());
+    }
     Ok(Verdict::Good)
 }
 
@@ -50,36 +61,68 @@ fn write_onnx(checkpoint: &Checkpoint, run: &Path, file: &Path) -> anyhow::Resul
     if file.exists() {
         bail!("`{}` already exists; choose another --onnx", file.display());
     }
-    let source = format!("{} (stored settings)", run.display());
-    let document = Document::of_run(source, checkpoint.config.clone());
-    let resolved = Layers { document, ..Layers::default() }.resolve()?;
-    let (config, scenario) = (resolved.config, resolved.scenario);
-    let task = Task::new(&scenario, config.agents)?;
-    let algorithm = &checkpoint.algorithm;
-    let graph = onnx::graph(algorithm, &task.spec, &config.learner, &checkpoint.learner);
-    let graph = graph.with_context(|| {
-        format!(
-            "{algorithm} with the encoder of this run has no ONNX model; methods that have one: {}, with network.encoder = \"mlp\"",
-            onnx::METHODS.join(", ")
-        )
-    })?;
-    let features = |features: &Features| {
-        let row = |f: &iwol_sumo::env::Feature| json!({ "name": f.name, "unit": f.unit, "low": f.low, "high": f.high });
-        features.list.iter().map(row).collect::<Vec<_>>()
-    };
-    let actions: Vec<&str> = task.spec.actions.iter().map(|action| action.name).collect();
-    let policy = json!({
-        "algorithm": algorithm,
-        "scenario": scenario.name,
-        "interval": scenario.control.interval,
-        "communication_range": scenario.communication.range,
-        "observation": features(&task.spec.observation),
-        "actions": actions.iter().map(|name| json!({ "name": name, "low": -1.0, "high": 1.0 })).collect::<Vec<_>>(),
-        "program": Program::current(),
-    });
-    let metadata = [("policy", policy.to_string())];
-    record::write_atomic(file, &graph.encode(algorithm, &metadata))?;
+    let exported = Exported::new(checkpoint, run)?;
+    let metadata = [("policy", exported.description.to_string())];
+    record::write_atomic(file, &exported.graph.encode(&checkpoint.algorithm, &metadata))?;
     Ok(())
+}
+
+/// Writes a folder with the policy's weights, what its numbers mean, and the file that runs it in
+/// PyTorch. Methods and encoders are those that have an ONNX model.
+fn write_pytorch(mut checkpoint: Checkpoint, run: &Path, dir: &Path) -> anyhow::Result<()> {
+    if dir.exists() {
+        bail!("`{}` already exists; choose another --pytorch", dir.display());
+    }
+    let exported = Exported::new(&checkpoint, run)?;
+    std::fs::create_dir_all(dir)
+        .with_context(|| format!("cannot create the folder `{}`", dir.display()))?;
+    checkpoint.learner.retain(|(name, _)| name.starts_with(onnx::ACTOR));
+    checkpoint.save(&dir.join("policy.safetensors"))?;
+    let description = serde_json::to_string_pretty(&exported.description)?;
+    record::write_atomic(&dir.join("policy.json"), description.as_bytes())?;
+    record::write_atomic(&dir.join("policy.py"), PYTORCH.as_bytes())?;
+    Ok(())
+}
+
+/// A policy for use outside of this program.
+struct Exported {
+    graph: Graph,
+    /// The method, the scenario, and what the numbers of observations and actions mean.
+    description: serde_json::Value,
+}
+
+impl Exported {
+    fn new(checkpoint: &Checkpoint, run: &Path) -> anyhow::Result<Self> {
+        let source = format!("{} (stored settings)", run.display());
+        let document = Document::of_run(source, checkpoint.config.clone());
+        let resolved = Layers { document, ..Layers::default() }.resolve()?;
+        let (config, scenario) = (resolved.config, resolved.scenario);
+        let task = Task::new(&scenario, config.agents)?;
+        let algorithm = &checkpoint.algorithm;
+        let graph = onnx::graph(algorithm, &task.spec, &config.learner, &checkpoint.learner);
+        let graph = graph.with_context(|| {
+            format!(
+                "{algorithm} with the encoder of this run cannot be exported to ONNX or PyTorch; methods that can: {}, with network.encoder = \"mlp\"",
+                onnx::METHODS.join(", ")
+            )
+        })?;
+        let features = |features: &Features| {
+            let row = |f: &Feature| json!({ "name": f.name, "unit": f.unit, "low": f.low, "high": f.high });
+            features.list.iter().map(row).collect::<Vec<_>>()
+        };
+        let actions = task.spec.actions.iter();
+        let actions = actions.map(|a| json!({ "name": a.name, "low": -1.0, "high": 1.0 }));
+        let description = json!({
+            "algorithm": algorithm,
+            "scenario": scenario.name,
+            "interval": scenario.control.interval,
+            "communication_range": scenario.communication.range,
+            "observation": features(&task.spec.observation),
+            "actions": actions.collect::<Vec<_>>(),
+            "program": Program::current(),
+        });
+        Ok(Self { graph, description })
+    }
 }
 
 /// Copies the policy into a folder.

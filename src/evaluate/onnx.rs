@@ -219,3 +219,73 @@ impl Actor for OnnxActor<'_> {
         Vec::new()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tch::{Device, Tensor};
+
+    use super::*;
+    use crate::algo::{self, ActMode, Observation, Settings, onnx};
+    use crate::rng;
+    use crate::scenario::Scenario;
+
+    #[test]
+    fn models_decide_as_the_learners_that_they_were_made_from() {
+        let scenario = Scenario::read(Path::new("scenarios/intersection.xml")).expect("a scenario");
+        let task = Task::new(&scenario, 8).expect("a task");
+        let (n, o) = (task.agents, task.spec.observation.len());
+        let folder = tempfile::tempdir().expect("a folder");
+        for method in onnx::METHODS {
+            let settings = Settings::default();
+            let learner = algo::build(method, &task.spec, &settings, Seed::new(0), Device::Cpu);
+            let mut learner = learner.expect("a learner");
+            // Untrained means are almost constant: weights of a trained policy's size.
+            let mut source = Seed::new(1).rng();
+            let mut normal = |size: &[i64]| {
+                let mut values = vec![0.0_f32; size.iter().product::<i64>() as usize];
+                rng::fill_normal(&mut source, &mut values);
+                Tensor::from_slice(&values).view(size)
+            };
+            let mut state = learner.state();
+            state.retain(|(name, _)| !name.starts_with("actor_average/"));
+            let trained = state.into_iter().map(|(name, tensor)| {
+                let moved = &tensor + normal(&tensor.size()) * 0.1;
+                (name.clone(), if name.starts_with(onnx::ACTOR) { moved } else { tensor })
+            });
+            let trained: Vec<_> = trained.collect();
+            learner.load_weights(&trained).expect("the same names and sizes");
+            let state = learner.state();
+            let graph = onnx::graph(method, &task.spec, &settings, &state).expect("a model");
+            let file = folder.path().join(format!("{method}.onnx"));
+            std::fs::write(&file, graph.encode(method, &[])).expect("written");
+            let model = OnnxPolicy::load(&file, &task).expect("a model for this task");
+            let mut graphs = Seed::new(2).rng();
+            let mut spread = 0.0_f64;
+            for _ in 0..8 {
+                let size = |width: usize| [WORLDS as i64, n as i64, width as i64];
+                let observation = normal(&size(o)).clamp(-1.0, 1.0);
+                let mut near = vec![0.0_f32; WORLDS * n * n];
+                rng::fill_normal(&mut graphs, &mut near);
+                let near = Tensor::from_slice(&near).view(size(n)).gt(0.0);
+                let own = Tensor::eye(n as i64, (tch::Kind::Bool, Device::Cpu));
+                let comm = near.logical_or(&near.transpose(1, 2)).logical_or(&own);
+                let comm = comm.to_kind(tch::Kind::Float);
+                let input = Observation {
+                    observation: observation.shallow_clone(),
+                    comm: comm.shallow_clone(),
+                    start: Tensor::zeros(&size(0)[..2], (tch::Kind::Float, Device::Cpu)),
+                    memory: Tensor::zeros(size(0), (tch::Kind::Float, Device::Cpu)),
+                };
+                let wanted = learner.act(&input, &ActMode::Deterministic).action;
+                let wanted = wanted.clamp(-1.0, 1.0);
+                let flat = |x: &Tensor| Vec::<f32>::try_from(x.flatten(0, -1)).expect("numbers");
+                let found = model.run(&flat(&observation), &flat(&comm)).expect("actions");
+                let found = Tensor::from_slice(&found).view_as(&wanted);
+                let difference = (found - &wanted).abs().max().double_value(&[]);
+                assert!(difference < 1e-5, "{method}: {difference}");
+                spread = spread.max(wanted.std(false).double_value(&[]));
+            }
+            assert!(spread > 0.1, "{method}: all actions are alike ({spread})");
+        }
+    }
+}
