@@ -2,7 +2,8 @@
 
     python python_bridge/benchmarks/speed.py
 
-Both loops step the same SUMO processes, in turns of 100 steps, so that a busy machine slows both. "own time" is the
+Both loops step the same SUMO processes, in turns of 100 steps, so that a busy machine slows both, and both write each
+step's results to arrays, as training does. "own time" is the
 processor time of the calling thread, which includes the binding and what it computes for the worlds, and hardly depends on
 other programs.
 """
@@ -30,7 +31,7 @@ def batched(num_envs: int, agents: int, turns: int) -> None:
                 env.step(action)
 
         def rust() -> None:
-            env._env.repeat(actions)
+            env._env.repeat(actions, env._frame)
 
         python()
         rust()
@@ -107,7 +108,7 @@ def pictures(agents: int, steps: int) -> None:
 
 if __name__ == "__main__":
     print(f"iwol_sumo {iwol_sumo.__version__}, medians of turns of {TURN} steps")
-    for num_envs, agents, turns in [(16, 8, 15), (1, 8, 30), (16, 48, 5)]:
+    for num_envs, agents, turns in [(16, 8, 60), (1, 8, 100), (16, 48, 15)]:
         batched(num_envs, agents, turns)
     dictionaries(8, 3000)
     pictures(8, 100)

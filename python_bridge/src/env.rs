@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
 use std::time::Duration;
 
-use iwol_sumo::env::{Driver, Task, VecEnv, VecOptions, World};
+use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions, World};
 use iwol_sumo::replay::{RecordedDiagnostics, Recorder, Recording};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::sumo::Hosting;
@@ -51,6 +51,8 @@ struct Running {
     env: VecEnv,
     /// Actions of the coming step, `[E, N, A]`.
     actions: Vec<f32>,
+    /// Records of the episodes that the last step ended.
+    finished: Vec<EpisodeRecord>,
     /// Recorder of world 0's episode, where recordings are wanted.
     recorder: Option<Recorder>,
     seed: u64,
@@ -146,7 +148,8 @@ impl NativeEnv {
                 };
                 let actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
                 VecEnv::new(task, &options).map(|env| {
-                    *running_now = Some(Running { env, actions, recorder: None, seed });
+                    let finished = Vec::new();
+                    *running_now = Some(Running { env, actions, finished, recorder: None, seed });
                 })
             }
         });
@@ -156,19 +159,20 @@ impl NativeEnv {
         }
         let Some(running) = running_now else { return Ok(()) };
         running.env.take_finished();
+        running.finished.clear();
         running.seed = seed;
         running.recorder = record.then(|| Recorder::new(task, episode));
         self.fill(py, &running.env, &arrays)
     }
 
     /// Performs one decision of all worlds with the actions `[E, N, A]`, and writes the next frames.
-    /// Returns the worlds whose episodes have ended with it, and their records as JSON.
+    /// Returns whether episodes have ended with it.
     fn step(
         &self,
         py: Python<'_>,
         actions: &Bound<'_, PyArrayDyn<f32>>,
         arrays: Arrays<'_>,
-    ) -> PyResult<Vec<(usize, String)>> {
+    ) -> PyResult<bool> {
         refuse_after_fork(py)?;
         let mut running = self.lock(py)?;
         let Some(running) = running.as_mut() else {
@@ -176,7 +180,7 @@ impl NativeEnv {
             return Err(exception(py, "Error", text.into()));
         };
         self.take_actions(py, actions, running)?;
-        let Running { env, actions, recorder, .. } = running;
+        let Running { env, actions, finished, recorder, .. } = running;
         if let (Some(recorder), Some(world)) = (&mut *recorder, env.worlds().next())
             && recorder.watches(world)
         {
@@ -189,34 +193,41 @@ impl NativeEnv {
             recorder.reward(world);
         }
         self.fill(py, env, &arrays)?;
-        let finished = env.take_finished();
-        if finished.is_empty() {
-            return Ok(Vec::new());
-        }
-        let json = |record: &iwol_sumo::env::EpisodeRecord| {
-            serde_json::to_string(record).map_err(|error| exception(py, "Error", error.to_string()))
-        };
-        let world = |episode| env.worlds().position(|world| world.episode() == episode);
-        finished
-            .iter()
-            .map(|record| Ok((world(record.episode).unwrap_or(0), json(record)?)))
-            .collect()
+        *finished = env.take_finished();
+        Ok(!finished.is_empty())
     }
 
-    /// Performs the decisions `[T, E, N, A]` one after the other without Python, for benchmarks.
-    fn repeat(&self, py: Python<'_>, actions: PyReadonlyArrayDyn<'_, f32>) -> PyResult<()> {
+    /// Returns the worlds whose episodes the last step has ended, and their records as JSON.
+    fn finished(&self, py: Python<'_>) -> PyResult<Vec<(usize, String)>> {
+        let running = self.lock(py)?;
+        let Some(running) = running.as_ref() else { return Ok(Vec::new()) };
+        let json = |record: &EpisodeRecord| {
+            serde_json::to_string(record).map_err(|error| exception(py, "Error", error.to_string()))
+        };
+        let world = |episode| running.env.worlds().position(|world| world.episode() == episode);
+        let records = running.finished.iter();
+        records.map(|record| Ok((world(record.episode).unwrap_or(0), json(record)?))).collect()
+    }
+
+    /// Performs the decisions `[T, E, N, A]` one after the other without Python, for benchmarks. Each
+    /// step's frames are written to the same arrays.
+    fn repeat(
+        &self,
+        py: Python<'_>,
+        actions: PyReadonlyArrayDyn<'_, f32>,
+        arrays: Arrays<'_>,
+    ) -> PyResult<()> {
         let mut running = self.lock(py)?;
         let Some(running) = running.as_mut() else { return Ok(()) };
         let width = running.actions.len();
         let actions: Vec<f32> = actions.as_array().iter().copied().collect();
-        let taken = py.detach(|| {
-            actions.chunks_exact(width).try_for_each(|actions| {
-                running.env.step(actions)?;
-                running.env.take_finished();
-                Ok(())
-            })
-        });
-        taken.map_err(|error: iwol_sumo::env::Error| of_env(py, &error))
+        for actions in actions.chunks_exact(width) {
+            let taken = py.detach(|| running.env.step(actions));
+            taken.map_err(|error| of_env(py, &error))?;
+            self.fill(py, &running.env, &arrays)?;
+            running.env.take_finished();
+        }
+        Ok(())
     }
 
     /// Returns the numbers of the episodes that the worlds play.

@@ -204,7 +204,8 @@ class VehicleEnv(ParallelEnv, EzPickle):
 
     def _decide(self) -> None:
         """Performs a step with the present actions."""
-        for _, record in self._env.step(self._actions, self._frame):
+        if self._env.step(self._actions, self._frame):
+            [(_, record)] = self._env.finished()
             self.last_episode = json.loads(record)
             self._ended = True
 

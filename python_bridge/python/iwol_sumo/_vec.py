@@ -141,8 +141,8 @@ class VecEnv:
         self.single_state_space = box(self.state_features)
         self.single_action_space = Box(-1.0, 1.0, (len(self.actions),), np.float32)
         self.metadata: dict[str, Any] = {"autoreset_mode": NEXT_STEP, "render_fps": round(1.0 / self.interval)}
-        self.episodes: list[dict[str, Any]] = []
-        """Records of the episodes that the last step ended, each with the index of its world as ``"env"``."""
+        # None until somebody asks for the records of the last step.
+        self._episodes: list[dict[str, Any]] | None = []
         self._frame = self._empty()
 
     def _empty(self) -> Frame:
@@ -164,7 +164,7 @@ class VecEnv:
         frame = self._empty() if self._copy else self._frame
         self._env.start(self._seed, int((options or {}).get("episode", 0)), False, frame)
         self._closed = False
-        self.episodes = []
+        self._episodes = []
         return frame
 
     def step(self, actions: NDArray[np.float32], out: Frame | None = None) -> Frame:
@@ -181,9 +181,15 @@ class VecEnv:
             SumoError: if SUMO failed twice.
         """
         frame = out if out is not None else self._empty() if self._copy else self._frame
-        finished = self._env.step(np.asarray(actions, np.float32), frame)
-        self.episodes = [{"env": env, **json.loads(record)} for env, record in finished]
+        self._episodes = None if self._env.step(np.asarray(actions, np.float32), frame) else []
         return frame
+
+    @property
+    def episodes(self) -> list[dict[str, Any]]:
+        """Records of the episodes that the last step ended, each with the index of its world as ``"env"``."""
+        if self._episodes is None:
+            self._episodes = [{"env": env, **json.loads(record)} for env, record in self._env.finished()]
+        return self._episodes
 
     def flatten(self) -> FlatVecEnv:
         """Returns these worlds as a Gymnasium ``VectorEnv`` of E·N independent copies, for PPO with shared parameters."""
@@ -193,6 +199,7 @@ class VecEnv:
         """Ends SUMO. Nothing happens if it does not run."""
         if not self._closed:
             self._closed = True
+            _ = self.episodes
             self._env.close()
 
     def __enter__(self) -> VecEnv:
