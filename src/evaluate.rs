@@ -93,12 +93,14 @@ pub struct Evaluation {
     pub windows: Vec<f64>,
     /// How well the policy's latent predicts its targets; empty for policies without a latent.
     pub reconstruction: Vec<Knowledge>,
+    /// Bits that a vehicle sent per decision, of each episode; empty for policies without messages.
+    pub message_bits: Vec<f64>,
 }
 
 impl Evaluation {
     /// Returns the summary over all episodes; `None` without episodes.
     pub fn metrics(&self) -> Option<Metrics> {
-        Metrics::of(&self.episodes, &self.windows, &self.reconstruction)
+        Metrics::of(&self.episodes, &self.windows, &self.reconstruction, &self.message_bits)
     }
 }
 
@@ -137,10 +139,12 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
+            let actor = driver.actor.as_deref();
             return Ok(Evaluation {
                 episodes: records,
                 windows,
-                reconstruction: driver.actor.map(|actor| actor.knowledge()).unwrap_or_default(),
+                reconstruction: actor.map(Actor::knowledge).unwrap_or_default(),
+                message_bits: actor.map(Actor::message_bits).unwrap_or_default(),
             });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
@@ -270,8 +274,12 @@ mod tests {
     fn kilometres_and_crashes_are_those_of_all_episodes() {
         let crashed = EpisodeRecord { crashes: 2, distance_km: 1.5, ..record(1, &[1.0; 1000]) };
         let of = |episodes: Vec<EpisodeRecord>| {
-            let evaluation =
-                Evaluation { episodes, windows: vec![1.0], reconstruction: Vec::new() };
+            let evaluation = Evaluation {
+                episodes,
+                windows: vec![1.0],
+                reconstruction: Vec::new(),
+                message_bits: Vec::new(),
+            };
             evaluation.metrics().expect("episodes").km_per_crash.expect("they moved")
         };
         let found = of(vec![record(0, &[1.0; 1000]), crashed]);

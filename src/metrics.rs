@@ -96,7 +96,7 @@ metrics! {
             "safety", "agents that do not crash (%)", PERCENT, Higher, Everywhere,
             "Share of agents that neither crashed nor went off-road.";
         crash: Estimate = |e| e.rate(|r| r.crash),
-            "crash", "agents that crash (%)", PERCENT, Lower, InEvaluations,
+            "crash", "agents that crash (%)", PERCENT, Lower, InTables,
             "Share of agents that crashed.";
         out_of_road: Estimate = |e| e.rate(|r| r.out_of_road),
             "off-road", "agents off-road (%)", PERCENT, Lower, InEvaluations,
@@ -129,6 +129,10 @@ metrics! {
         own_collisions: Estimate = |e| e.mean(|r| f64::from(r.own_collisions)),
             "collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
             "Colliding pairs per episode by our own box test.";
+        message_bits: Option<Estimate> = |e| Estimate::t(e.message_bits),
+            "bits sent", "bits per decision and vehicle", COUNT, Neither, InTables,
+            "Bits that a vehicle sends per decision, for methods with messages: the width of a message \
+             times `channel.bits`, and 32 for its scale where it is rounded; nothing while nobody is in range.";
         loitering: Estimate = |e| e.rate(|r| r.loitering),
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
             "Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at \
@@ -256,6 +260,7 @@ metrics! {
 struct Episodes<'a> {
     records: &'a [EpisodeRecord],
     windows: &'a [f64],
+    message_bits: &'a [f64],
 }
 
 impl Episodes<'_> {
@@ -303,6 +308,7 @@ impl Metrics {
         records: &[EpisodeRecord],
         windows: &[f64],
         reconstruction: &[Knowledge],
+        message_bits: &[f64],
     ) -> Option<Self> {
         if records.is_empty() || windows.is_empty() {
             return None;
@@ -315,7 +321,7 @@ impl Metrics {
             flow: (!flows.is_empty()).then(|| FlowSummary::measure(&flows)),
             others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
             reconstruction: reconstruction.to_vec(),
-            ..Self::measure(&Episodes { records, windows })
+            ..Self::measure(&Episodes { records, windows, message_bits })
         })
     }
 }
@@ -381,7 +387,7 @@ mod tests {
         let records: Vec<EpisodeRecord> = [effects(0.0, 5.0), effects(0.5, 5.0), effects(0.0, 4.0)]
             .map(|others| EpisodeRecord { others: Some(others), ..EpisodeRecord::default() })
             .into();
-        let metrics = Metrics::of(&records, &[-1.0, 2.0], &[]).unwrap();
+        let metrics = Metrics::of(&records, &[-1.0, 2.0], &[], &[]).unwrap();
         let others = metrics.others.as_ref().unwrap();
         let (delay, ttc) = (others.delay.unwrap(), others.ttc.unwrap());
         assert!(delay.low == 0.0 && delay.high > 0.5, "{delay:?}");

@@ -7,6 +7,7 @@
 //! module imports nothing of this crate.
 
 pub mod aggregate;
+pub mod contrast;
 
 use std::fmt;
 

@@ -22,7 +22,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::Tensor;
 
-use crate::algo::{self, Algorithm, Losses, UpdateParameters};
+use crate::algo::{Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{EpisodeRecord, Task, VecEnv, WorldState};
@@ -185,7 +185,7 @@ impl Trainer {
     /// If SUMO fails twice in a row.
     pub fn validate(&mut self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         self.learner.swap_average();
-        let policy = LearnedPolicy { learner: &*self.learner, channel: algo::Channel::default() };
+        let policy = LearnedPolicy { learner: &*self.learner, channel: self.config.channel };
         let evaluation = evaluate(
             &self.task,
             &Policy::Learned(&policy),

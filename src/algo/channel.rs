@@ -1,10 +1,11 @@
-//! The radio between agents in evaluation: quantised, lost, delayed and falsified messages. In
-//! training, messages arrive as they were sent.
+//! The radio between agents. In training it can lose messages: edges of the physical mask are cut
+//! at random. In evaluation it can also round, delay, falsify and shuffle them.
 //!
 //! Agents send their embedding f. Each agent computes the rest (its graph and its messages) from
 //! the embeddings that arrived at it, with its own embedding intact. With several rounds it does so
 //! for all rounds, because agents send only once per decision.
 
+use rand::RngExt as _;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -12,8 +13,9 @@ use tch::{Device, Kind, Tensor};
 
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
+use crate::rng::Rng;
 
-/// Disturbances of messages between agents, in evaluation.
+/// Disturbances of messages between agents. In training, only `loss` applies.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -33,6 +35,10 @@ pub struct Channel {
     /// deviation, independent for each receiver and step.
     #[schemars(range(min = 0, max = 1))]
     pub falsified: f64,
+    /// Whether agents hear what agents of another episode say: the messages are as many and look
+    /// alike, but say nothing about this episode. Results then depend on which episodes are played
+    /// side by side.
+    pub shuffled: bool,
 }
 
 impl Channel {
@@ -45,6 +51,29 @@ impl Channel {
     /// messages.
     pub(super) fn only_loses(&self) -> bool {
         *self == Self { loss: self.loss, ..Self::default() }
+    }
+
+    /// Returns whether the channel at most loses messages in the way that training can.
+    pub fn can_train(&self) -> bool {
+        self.only_loses()
+    }
+
+    /// Returns the bits of a message of `width` numbers; 0 for methods without messages.
+    pub fn message_bits(&self, width: usize) -> f64 {
+        let scale = if self.bits < 32 && width > 0 { 32.0 } else { 0.0 };
+        f64::from(self.bits) * width as f64 + scale
+    }
+
+    /// Cuts the messages that are lost from physical masks `comm [E, N, N]`, for training. Agents
+    /// always hear themselves.
+    pub(crate) fn cut(&self, comm: &mut [f32], agents: usize, rng: &mut Rng) {
+        for (pair, edge) in comm.iter_mut().enumerate() {
+            let own = pair / agents % agents == pair % agents;
+            let lost = f64::from(rng.random::<f32>()) < self.loss;
+            if lost && !own {
+                *edge = 0.0;
+            }
+        }
     }
 
     /// Returns how many numbers an agent remembers for messages of this width.
@@ -139,6 +168,8 @@ impl Channel {
         let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
         let sent = self.rounded(f);
         let (sent, silent, past) = self.delayed(&sent, keep, past);
+        // Every world hears the world before it.
+        let sent = if self.shuffled { sent.roll([1], [0]) } else { sent };
         let everyone = |x: &Tensor| x.unsqueeze(1).expand([envs, agents, agents, width], false);
         let mut arriving = everyone(&sent);
         if self.falsified > 0.0 {
@@ -252,6 +283,47 @@ mod tests {
             let same = numbers(&heard.embedding.get(0).get(i).get(j)) == numbers(&f.get(0).get(j));
             assert_eq!(same, i == j, "{i} hears {j}");
         }
+    }
+
+    #[test]
+    fn shuffled_messages_are_those_of_another_world() {
+        let channel = Channel { shuffled: true, ..Channel::default() };
+        let f = Tensor::cat(&[embeddings(0.0), embeddings(100.0)], 0);
+        let none = Tensor::zeros([2, N, 0], CPU);
+        let twice = |x: Tensor| Tensor::cat(&[&x, &x], 0);
+        let ChannelNoise { lost, falsified, content } = noise(0.5, 0.5);
+        let both = ChannelNoise {
+            lost: twice(lost),
+            falsified: twice(falsified),
+            content: twice(content),
+        };
+        let (heard, _) = channel.send(&f, &Tensor::zeros([2, N], CPU), &none, &both);
+        for (world, i, j) in
+            (0..2).flat_map(|w| (0..N).flat_map(move |i| (0..N).map(move |j| (w, i, j))))
+        {
+            let from = if i == j { world } else { 1 - world };
+            let found = numbers(&heard.embedding.get(world).get(i).get(j));
+            assert_eq!(found, numbers(&f.get(from).get(j)), "{i} hears {j} in world {world}");
+        }
+    }
+
+    #[test]
+    fn training_loses_as_many_messages_as_it_should_and_never_ones_own() {
+        let channel = Channel { loss: 0.3, ..Channel::default() };
+        let mut rng = crate::rng::Seed::new(4).rng();
+        let mut comm = vec![1.0_f32; 1000 * 9];
+        channel.cut(&mut comm, 3, &mut rng);
+        let own = |pair: &usize| pair / 3 % 3 == pair % 3;
+        assert!((0..comm.len()).filter(own).all(|pair| comm[pair] == 1.0));
+        let kept: f32 = (0..comm.len()).filter(|pair| !own(pair)).map(|pair| comm[pair]).sum();
+        assert!((kept / 6000.0 - 0.7).abs() < 0.03, "{kept} of 6000");
+    }
+
+    #[test]
+    fn bits_are_those_of_the_numbers_and_their_scale() {
+        let bits =
+            |bits: u32, width: usize| Channel { bits, ..Channel::default() }.message_bits(width);
+        assert_eq!((bits(32, 10), bits(4, 10), bits(4, 0)), (320.0, 72.0, 0.0));
     }
 
     #[test]

@@ -22,9 +22,13 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
 
 impl Config {
     /// Returns why these settings cannot be used for training, if they cannot.
-    pub fn cannot_be_trained(&self) -> Option<&'static str> {
-        let disturbed = !self.channel.is_perfect();
-        disturbed.then_some("[channel] applies only to evaluation; in training, messages arrive as they were sent: omit [channel]")
+    pub fn cannot_be_trained(&self) -> Option<String> {
+        if let Err(unfit) = algo::check_channel(&self.algorithm, &self.channel) {
+            return Some(unfit.to_string());
+        }
+        let disturbed = !self.channel.can_train();
+        let why = "[channel] bits, delay, falsified and shuffled apply only to evaluation; in training, messages can be lost (loss), but arrive as they were sent: omit them";
+        disturbed.then(|| why.to_owned())
     }
 
     /// Returns why the policy of a run with these settings cannot be used with the settings

@@ -31,7 +31,15 @@ pub trait Actor {
     ) -> Result<RecordedDiagnostics, env::Error>;
 
     /// Returns how well the policy's latent predicted its targets so far.
-    fn knowledge(&self) -> Vec<Knowledge>;
+    fn knowledge(&self) -> Vec<Knowledge> {
+        Vec::new()
+    }
+
+    /// Returns the bits that a vehicle sent per decision, of each episode so far; empty for policies
+    /// without messages.
+    fn message_bits(&self) -> Vec<f64> {
+        Vec::new()
+    }
 }
 
 /// Computes actions from frames. All randomness depends only on seed, episode and step.

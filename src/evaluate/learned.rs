@@ -1,6 +1,8 @@
 //! Learned policies in an evaluation: they act deterministically, and messages pass through a
 //! channel.
 
+use std::collections::BTreeMap;
+
 use rand::RngExt as _;
 use tch::{Device, Kind, Tensor};
 
@@ -32,6 +34,7 @@ impl Controller for LearnedPolicy<'_> {
             task,
             seed,
             sums: Sums::default(),
+            sent: BTreeMap::new(),
             decisions: 0,
             frames: Rollout::new(Sizes {
                 steps: 0,
@@ -55,6 +58,8 @@ struct LearnedActor<'a> {
     task: &'a Task,
     seed: Seed,
     sums: Sums,
+    /// Bits sent, and decisions, of each episode.
+    sent: BTreeMap<u64, (f64, f64)>,
     decisions: u64,
     /// The present frames of [`WORLDS`] worlds, in its only row.
     frames: Rollout,
@@ -117,6 +122,10 @@ impl Actor for LearnedActor<'_> {
                 diagnostics = recorded(&learner.inspect(&observation, &state()), world as i64);
             }
         }
+        let bits = channel.message_bits(learner.message_width());
+        if bits > 0.0 {
+            count_bits(&self.frames, &episodes, bits, &mut self.sent);
+        }
         self.decisions += 1;
         self.memory = decision.memory;
         decision.action.reshape([-1]).copy_data(actions, actions.len());
@@ -125,6 +134,26 @@ impl Actor for LearnedActor<'_> {
 
     fn knowledge(&self) -> Vec<Knowledge> {
         self.sums.finish()
+    }
+
+    fn message_bits(&self) -> Vec<f64> {
+        let decided = self.sent.values().filter(|(_, decisions)| *decisions > 0.0);
+        decided.map(|(bits, decisions)| bits / decisions).collect()
+    }
+}
+
+/// Adds the bits that active agents send, and their number, to those of each world's episode. Who has
+/// nobody in range sends nothing.
+fn count_bits(frames: &Rollout, episodes: &[u64], bits: f64, sent: &mut BTreeMap<u64, (f64, f64)>) {
+    let n = frames.sizes.agents;
+    let worlds = frames.active.chunks(n).zip(frames.comm.chunks(n * n)).zip(episodes);
+    for ((active, comm), episode) in worlds {
+        let sum = sent.entry(*episode).or_default();
+        for sender in (0..n).filter(|&sender| active[sender] > 0.5) {
+            let heard = (0..n).any(|other| other != sender && comm[other * n + sender] > 0.5);
+            sum.0 += if heard { bits } else { 0.0 };
+            sum.1 += 1.0;
+        }
     }
 }
 

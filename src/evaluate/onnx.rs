@@ -10,7 +10,7 @@ use std::sync::Arc;
 use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use serde_json::Value;
 
-use super::{Actor, Controller, Knowledge, WORLDS};
+use super::{Actor, Controller, WORLDS};
 use crate::env::{self, Task, VecEnv};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::Seed;
@@ -213,10 +213,6 @@ impl Actor for OnnxActor<'_> {
             }
         }
         Ok(RecordedDiagnostics::default())
-    }
-
-    fn knowledge(&self) -> Vec<Knowledge> {
-        Vec::new()
     }
 }
 

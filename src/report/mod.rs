@@ -9,6 +9,7 @@
 #![cfg(feature = "learn")]
 
 mod block;
+mod comparisons;
 mod document;
 mod export;
 mod figures;
@@ -88,6 +89,7 @@ pub fn write(
             }
         }
     }
+    comparisons::add(&mut document, sweep)?;
     let file = figure("learning_curves");
     if figures::learning_curves(&file, &blocks[0])? {
         document.heading(2, "Learning curves");

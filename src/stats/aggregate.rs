@@ -93,6 +93,15 @@ pub fn bootstrap<const G: usize>(
     if groups.iter().all(|group| group.iter().all(Vec::is_empty)) {
         return None;
     }
+    Some(summary(statistic(groups), resample(groups, same_runs, &statistic)))
+}
+
+/// Returns the statistic of each resample, as [`bootstrap`] draws them.
+pub(super) fn resample<const G: usize>(
+    groups: [&[Vec<f64>]; G],
+    same_runs: bool,
+    statistic: impl Fn([&[Vec<f64>]; G]) -> f64,
+) -> Vec<f64> {
     let mut rng = ChaCha8Rng::seed_from_u64(0);
     let mut drawn = groups.map(<[_]>::to_vec);
     let mut resample = || {
@@ -108,10 +117,14 @@ pub fn bootstrap<const G: usize>(
         }
         statistic(drawn.each_ref().map(Vec::as_slice))
     };
-    let mut values: Vec<f64> = (0..RESAMPLES).map(|_| resample()).collect();
-    values.sort_by(f64::total_cmp);
-    let (low, high) = (percentile(&values, 0.025), percentile(&values, 0.975));
-    Some(Estimate { mean: statistic(groups), low, high })
+    (0..RESAMPLES).map(|_| resample()).collect()
+}
+
+/// Returns a statistic with the 95 % percentile interval of its resamples.
+pub(super) fn summary(mean: f64, mut resamples: Vec<f64>) -> Estimate {
+    resamples.sort_by(f64::total_cmp);
+    let (low, high) = (percentile(&resamples, 0.025), percentile(&resamples, 0.975));
+    Estimate { mean, low, high }
 }
 
 /// Returns the mean curve of several runs with its t interval at each of `steps`. A run is a list

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Cell, Error, Evaluate, Reference, base, combinations, holds, label, value_of};
+use super::{
+    Cell, Contrast, Error, Evaluate, Reference, base, combinations, holds, label, value_of,
+};
 use crate::config::{Config, Document, Layers, flatten, full_name, no_matter_of_evaluation};
 use crate::metrics::{self, Shown};
 
@@ -31,6 +33,8 @@ pub(super) struct File {
     pub(super) evaluate: Vec<Evaluate>,
     #[serde(default)]
     pub(super) reference: Vec<Reference>,
+    #[serde(default)]
+    pub(super) contrast: Vec<Contrast>,
 }
 
 /// Settings for the cells that match.
@@ -59,7 +63,8 @@ impl File {
         let checked = parsed
             .check_grid()
             .and_then(|()| parsed.check_evaluations())
-            .and_then(|()| parsed.check_references());
+            .and_then(|()| parsed.check_references())
+            .and_then(|()| parsed.contrast.iter().try_for_each(|c| c.check(&parsed.evaluate)));
         checked.map_err(|message| wrong(file, message))?;
         Ok(parsed)
     }
@@ -147,6 +152,10 @@ impl File {
         }
         self.check_used(&cells, &matched)
             .and_then(|()| check_order(&cells))
+            .and_then(|()| {
+                let mut all = self.contrast.iter();
+                all.try_for_each(|contrast| contrast.check_cells(&cells, &self.evaluate))
+            })
             .map_err(|message| wrong(file, message))?;
         cells.sort_by_key(|cell| cell.config.seed);
         match cells
@@ -288,7 +297,7 @@ fn wrong(file: &str, message: String) -> Error {
 }
 
 /// Formats a condition for a message.
-fn listed(when: &Table) -> String {
+pub(super) fn listed(when: &Table) -> String {
     toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
 }
 

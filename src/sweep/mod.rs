@@ -18,6 +18,11 @@
 //! name = "range"
 //! episodes = 200
 //! grid = { "scenario.communication.range" = [100.0, 10.0] }
+//! [[contrast]]                            # a comparison, named before the runs
+//! title = "Im-IWoL against MAPPO"
+//! metric = "success"
+//! plus = [{ algorithm = "im-iwol", agents = 8 }]
+//! minus = [{ algorithm = "mappo", agents = 8 }]
 //! ```
 //!
 //! A file may name another file as its `base` and then contains only what differs from it.
@@ -29,6 +34,7 @@
 
 mod base;
 mod cell;
+mod contrast;
 mod error;
 mod file;
 
@@ -38,6 +44,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 pub use cell::{Cell, Job, State};
+pub use contrast::Contrast;
 pub use error::Error;
 
 use file::File;
@@ -60,6 +67,8 @@ pub struct Sweep {
     pub evaluations: Vec<Evaluate>,
     /// Published values to compare with.
     pub references: Vec<Reference>,
+    /// Comparisons of trained runs.
+    pub contrasts: Vec<Contrast>,
 }
 
 /// One way of evaluating the policy of each cell.
@@ -191,6 +200,7 @@ impl Sweep {
             cells,
             evaluations: parsed.evaluate,
             references: parsed.reference,
+            contrasts: parsed.contrast,
         })
     }
 

@@ -37,6 +37,7 @@ impl Trainer {
             timed(&mut self.timers.copy, || {
                 store_row(&self.env, &self.memory, &mut self.rollout, t);
             });
+            self.lose_messages(t, &seed);
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 if correlated && t > 0 {
@@ -89,11 +90,23 @@ impl Trainer {
         timed(&mut self.timers.copy, || {
             store_row(&self.env, &self.memory, &mut self.rollout, s.steps);
         });
+        self.lose_messages(s.steps, &seed);
         if self.learner.graph_lasts() {
             // The last observation is valued over the same graph as the rollout.
             store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
         }
         Ok(())
+    }
+
+    /// Cuts the messages that the channel loses from row `t` of the rollout's physical masks, so that
+    /// policy, value function and update all see who heard whom.
+    fn lose_messages(&mut self, t: usize, seed: &Seed) {
+        let channel = self.config.channel;
+        if channel.loss > 0.0 && self.learner.message_width() > 0 {
+            let row = self.rollout.at(t, self.rollout.sizes.agents);
+            let mut rng = seed.child("lost").index(t as u64).rng();
+            channel.cut(&mut self.rollout.comm[row], self.rollout.sizes.agents, &mut rng);
+        }
     }
 }
 
@@ -188,6 +201,36 @@ mod tests {
                 );
             }
         }
+    }
+
+    /// In a training with losses, rollouts contain the masks of what arrived.
+    #[test]
+    fn lost_messages_are_lost_in_training() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
+        let heard = |algorithm: &str, loss: f64| {
+            let flags = [("scenario", scenario), ("algorithm", algorithm)];
+            let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+            let sets = vec![format!("channel.loss={loss}")];
+            let layers = Layers { flags, sets, ..Layers::default() };
+            let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
+            assert_eq!(config.cannot_be_trained(), None);
+            (config.train.envs, config.train.rollout_steps) = (2, 8);
+            let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            let (n, comm) = (trainer.rollout.sizes.agents, &trainer.rollout.comm);
+            let own = |pair: usize| pair / n % n == pair % n;
+            let sum = |of: bool| -> f32 {
+                (0..comm.len()).filter(|&pair| own(pair) == of).map(|pair| comm[pair]).sum()
+            };
+            (sum(true), sum(false))
+        };
+        let (own, others) = heard("ex-iwol", 0.0);
+        assert!(own > 0.0 && others > 0.0);
+        let (same, half) = heard("ex-iwol", 0.5);
+        assert!(same == own && (half / others - 0.5).abs() < 0.1, "{half} of {others}");
+        assert_eq!(heard("ex-iwol", 1.0), (own, 0.0));
+        // The masks of methods without messages serve their training only.
+        assert_eq!(heard("im-iwol", 1.0).1, heard("im-iwol", 0.0).1);
     }
 
     /// The end of a rollout is valued over the same graph as its steps.

@@ -230,3 +230,56 @@ fn kilometres_and_knowledge_have_tables() {
     }
     assert!(!markdown.contains("variance of the interaction"), "{markdown}");
 }
+
+#[test]
+fn comparisons_are_made_as_the_file_names_them() {
+    let folder = folder();
+    let text = format!(
+        r#"{FILE}
+[[contrast]]
+title = "Im-IWoL against MAPPO among 4"
+metric = "success"
+plus = [{{ algorithm = "im-iwol", agents = 4 }}]
+minus = [{{ algorithm = "mappo", agents = 4 }}]
+[[contrast]]
+title = "is it more among 8?"
+metric = "success"
+plus = [{{ algorithm = "im-iwol", agents = 8 }}, {{ algorithm = "mappo", agents = 4 }}]
+minus = [{{ algorithm = "mappo", agents = 8 }}, {{ algorithm = "im-iwol", agents = 4 }}]
+[[contrast]]
+title = "a single seed"
+metric = "success"
+plus = [{{ algorithm = "magic", agents = 4 }}]
+minus = [{{ algorithm = "mappo", agents = 4 }}]
+"#
+    );
+    let sweep = Sweep::parse(&text, "s.toml", "s", folder.path()).expect("a sweep");
+    // Among 4, the methods differ by 30 points, among 8 by 50.
+    let success = |cell: &Cell| {
+        let gain = if cell.config.agents == 4 { 0.3 } else { 0.5 };
+        let own = if cell.config.algorithm == "im-iwol" { 0.4 + gain } else { 0.4 };
+        own + 0.01 * cell.config.seed as f64
+    };
+    results(&sweep, success, |_| Value::Null);
+    let (markdown, _) = report(&sweep, folder.path());
+    let tables = tables(&markdown);
+    let table = tables.iter().find(|table| table[0][0] == "comparison").expect("a table");
+    let [_, first, second, third] = &table[..] else { panic!("{table:?}") };
+    assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "3, 3"], "{first:?}");
+    assert!(first[3].starts_with("30.0 [28") && first[4] == "< 0.001", "{first:?}");
+    assert!(second[3].starts_with("20.0 [1") && second[2] == "3, 3, 3, 3", "{second:?}");
+    assert_eq!(third[2..], ["1, 3", "–", "–", "–"]);
+
+    let wrong = |from: &str, to: &str| {
+        let text = text.replace(from, to);
+        Sweep::parse(&text, "s.toml", "s", folder.path()).expect_err("refused").to_string()
+    };
+    let metric = wrong("metric = \"success\"", "metric = \"sucess\"");
+    assert!(metric.contains("`Im-IWoL against MAPPO among 4`: metric must be one of success"));
+    let several = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magic\"");
+    assert!(several.contains("give more conditions"), "{several}");
+    let none = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magik\"");
+    assert!(none.contains("no cell that is evaluated has"), "{none}");
+    let alone = wrong("minus = [{ algorithm = \"mappo\", agents = 4 }]", "minus = []");
+    assert!(alone.contains("as many conditions in `minus`"), "{alone}");
+}

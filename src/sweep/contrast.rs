@@ -1,0 +1,126 @@
+//! Comparisons that a sweep file names before its runs.
+
+use serde::Deserialize;
+use toml::{Table, Value};
+
+use super::{Cell, Evaluate, holds};
+use crate::metrics::{self, Metric};
+
+/// A comparison of trained runs: how much better those of `plus` are than those of `minus`. With
+/// two conditions each, how much the first difference exceeds the second. The report corrects the
+/// p-values of all comparisons of a sweep together (Holm).
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Contrast {
+    /// What is compared, in the report.
+    pub title: String,
+    /// Metric, as in the JSON of `iwol evaluate`.
+    pub metric: String,
+    /// Conditions on the cells whose interquartile means count with weight 1.
+    pub plus: Vec<Table>,
+    /// Conditions on the cells whose interquartile means count with weight -1.
+    pub minus: Vec<Table>,
+    /// Name of the evaluation that is compared [default: the first].
+    #[serde(default)]
+    pub evaluate: Option<String>,
+    /// Values of that evaluation's grid.
+    #[serde(default)]
+    pub at: Table,
+}
+
+impl Contrast {
+    /// Returns the metric.
+    pub fn metric(&self) -> Option<&'static Metric> {
+        metrics::all().find(|metric| metric.id == self.metric)
+    }
+
+    /// Returns the evaluation that is compared.
+    pub fn evaluation<'a>(&self, all: &'a [Evaluate]) -> Option<&'a Evaluate> {
+        match &self.evaluate {
+            None => all.first(),
+            Some(name) => all.iter().find(|evaluate| evaluate.name == *name),
+        }
+    }
+
+    /// Returns the one combination of the evaluation's grid that is compared.
+    pub fn combination(&self, evaluate: &Evaluate) -> Option<Vec<(String, Value)>> {
+        let fits = |combination: &Vec<(String, Value)>| {
+            holds(&self.at, |key| super::value_of(combination, key))
+        };
+        let mut all = evaluate.combinations().into_iter().filter(fits);
+        let only = all.next();
+        only.filter(|_| all.next().is_none())
+    }
+
+    /// Returns the conditions with their weights.
+    pub fn groups(&self) -> impl Iterator<Item = (f64, &Table)> {
+        let (plus, minus) = (self.plus.iter(), self.minus.iter());
+        plus.map(|when| (1.0, when)).chain(minus.map(|when| (-1.0, when)))
+    }
+
+    /// Checks everything that does not depend on the cells.
+    pub(super) fn check(&self, evaluations: &[Evaluate]) -> Result<(), String> {
+        let at = format!("[[contrast]] `{}`", self.title);
+        if self.metric().is_none() {
+            let known: Vec<&str> = metrics::all().map(|metric| metric.id).collect();
+            return Err(format!("{at}: metric must be one of {}", known.join(", ")));
+        }
+        if self.plus.is_empty() || self.plus.len() != self.minus.len() {
+            return Err(format!("{at}: give as many conditions in `minus` as in `plus`"));
+        }
+        let Some(evaluate) = self.evaluation(evaluations) else {
+            return Err(format!("{at}: evaluate must be the name of an [[evaluate]]"));
+        };
+        if self.combination(evaluate).is_none() {
+            return Err(format!(
+                "{at}: at must select one combination of the grid of [[evaluate]] `{}`",
+                evaluate.name
+            ));
+        }
+        Ok(())
+    }
+
+    /// Checks that every condition selects cells that are evaluated, and that they differ in their
+    /// seed only.
+    pub(super) fn check_cells(
+        &self,
+        cells: &[Cell],
+        evaluations: &[Evaluate],
+    ) -> Result<(), String> {
+        let evaluate = self.evaluation(evaluations);
+        for (_, when) in self.groups() {
+            let chosen: Vec<&Cell> = self.cells(cells, when, evaluate).collect();
+            let Some(first) = chosen.first() else {
+                let title = &self.title;
+                return Err(format!(
+                    "[[contrast]] `{title}`: no cell that is evaluated has {}",
+                    super::file::listed(when)
+                ));
+            };
+            let rest = |cell: &Cell| {
+                cell.values.iter().filter(|(key, _)| key != "seed").cloned().collect::<Vec<_>>()
+            };
+            if let Some(other) = chosen.iter().find(|cell| rest(cell) != rest(first)) {
+                return Err(format!(
+                    "[[contrast]] `{}`: cells {} and {} both have {}; give more conditions, so that a group differs in its seeds only",
+                    self.title,
+                    first.id,
+                    other.id,
+                    super::file::listed(when)
+                ));
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the cells of a condition that are evaluated.
+    pub fn cells<'a>(
+        &self,
+        cells: &'a [Cell],
+        when: &'a Table,
+        evaluate: Option<&'a Evaluate>,
+    ) -> impl Iterator<Item = &'a Cell> {
+        let chosen = cells.iter().filter(move |cell| holds(when, |key| cell.value(key)));
+        chosen.filter(move |cell| evaluate.is_some_and(|evaluate| evaluate.applies(cell)))
+    }
+}
