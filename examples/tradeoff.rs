@@ -18,16 +18,17 @@
 //!
 //! Entries are ideal: braking and starting again cost nothing, so that a simulated policy is slower
 //! than these bounds. `cargo run --release --no-default-features --example tradeoff` prints the
-//! curves as CSV. With the name of a picture (`.svg` or `.png`) and results of `iwol evaluate --json`,
-//! it also draws the curves of the window of 7 s and the evaluated policies:
+//! curves as CSV. With the name of a picture (`.svg` or `.png`), it also draws the curves of the
+//! window of 7 s and evaluated policies. A policy is a label with a result of `iwol evaluate --json`,
+//! or with a row of a sweep, whose seeds are a point each:
 //!
 //! ```text
 //! iwol evaluate runs/a --scenario scenarios/one_lane.xml --json --out a.json
-//! cargo run --release --no-default-features --example tradeoff -- tradeoff.svg a.json
+//! cargo run --release --no-default-features --example tradeoff -- tradeoff.svg mine=a.json MAPPO=runs/one_lane/mappo_…
 //! ```
 
 use std::error::Error;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rand::RngExt as _;
 use serde_json::Value;
@@ -194,24 +195,55 @@ fn full_information(demand: Demand, window: f64, rng: &mut Rng) -> Outcome {
     Outcome { crash: 0.0, delay: demand.both * mean / demand.vehicles() }
 }
 
-/// Draws curves and points on the plane of crashes and delay.
+/// Returns the files of an argument: the file itself, or the results of all seeds of a sweep's row.
+fn files(path: &str) -> Result<Vec<PathBuf>, Box<dyn Error>> {
+    let path = PathBuf::from(path);
+    if path.is_file() {
+        return Ok(vec![path]);
+    }
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(&path).map_err(|error| format!("{}: {error}", path.display()))? {
+        let file = entry?.path().join("evaluations").join("evaluation.json");
+        found.extend(file.is_file().then_some(file));
+    }
+    found.sort();
+    if found.is_empty() {
+        return Err(format!("{} holds no evaluated seed", path.display()).into());
+    }
+    Ok(found)
+}
+
+/// Draws curves and points on the plane of crashes and delay. Whiskers are the intervals of the
+/// delay over a policy's episodes.
 fn draw(path: &str, curves: Vec<Series>, results: &[String]) -> Result<(), Box<dyn Error>> {
     let mut series = curves;
-    for file in results {
-        let found: Value = serde_json::from_str(&std::fs::read_to_string(file)?)?;
-        let list = found.as_array().cloned().unwrap_or_else(|| vec![found]);
-        for result in list {
-            let mean = |metric: &str| result["metrics"][metric]["mean"].as_f64();
-            let (Some(crash), Some(delay)) = (mean("crash"), mean("delay")) else {
-                return Err(format!("`{file}` has no crash and delay of an evaluation").into());
-            };
-            let label = result["policy"].as_str().unwrap_or(file).to_owned();
-            series.push(Series {
-                label,
-                points: vec![(100.0 * crash, delay)],
-                band: Some(vec![(100.0 * crash, delay, delay)]),
-                style: Style::Whiskers,
-            });
+    for argument in results {
+        let (label, place) = argument.split_once('=').unwrap_or(("", argument));
+        for file in files(place)? {
+            let found: Value = serde_json::from_str(&std::fs::read_to_string(&file)?)?;
+            let list = found.as_array().cloned().unwrap_or_else(|| vec![found]);
+            for result in list {
+                let number = |metric: &str, of: &str| result["metrics"][metric][of].as_f64();
+                let (Some(crash), Some(delay)) = (number("crash", "mean"), number("delay", "mean"))
+                else {
+                    let file = file.display();
+                    return Err(format!("`{file}` has no crash and delay of an evaluation").into());
+                };
+                let crash = 100.0 * crash;
+                let (low, high) = (number("delay", "low"), number("delay", "high"));
+                let named = result["policy"].as_str().filter(|_| label.is_empty());
+                let label = named.unwrap_or(label).to_owned();
+                let known = series.iter().position(|one| one.label == label);
+                let at = known.unwrap_or_else(|| {
+                    let (points, band, style) = (Vec::new(), Some(Vec::new()), Style::Whiskers);
+                    series.push(Series { label, points, band, style });
+                    series.len() - 1
+                });
+                // A point that is missing keeps the points of two seeds from being joined.
+                series[at].points.extend([(crash, delay), (f64::NAN, f64::NAN)]);
+                let whisker = (crash, low.unwrap_or(delay), high.unwrap_or(delay));
+                series[at].band.get_or_insert_default().push(whisker);
+            }
         }
     }
     let panel = Panel {
