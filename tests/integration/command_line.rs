@@ -388,7 +388,7 @@ fn a_scenario_is_made_built_and_drawn() {
     "#);
     assert_snapshot!(failure(&mut iwol(&["scenario", "new", "site", "--template", "circle"])), @r#"
     2
-    error: there is no template `circle`; choose one of cross, tee, roundabout, merge, grid, bottleneck, parking
+    error: there is no template `circle`; choose one of cross, signals, tee, roundabout, merge, grid, bottleneck, parking
     "#);
 }
 

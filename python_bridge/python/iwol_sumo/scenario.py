@@ -124,7 +124,7 @@ def new(
 
     Args:
         name: name of the scenario and of its files.
-        template: ``"cross"``, ``"tee"``, ``"roundabout"``, ``"merge"``, ``"grid"``, ``"bottleneck"`` or ``"parking"``.
+        template: ``"cross"``, ``"signals"``, ``"tee"``, ``"roundabout"``, ``"merge"``, ``"grid"``, ``"bottleneck"`` or ``"parking"``.
         lanes: lanes per direction; the fewest that the template allows without it.
         arm_length: least length of the lanes on which vehicles start [m]; what the agents need without it.
         agents: number of vehicles.

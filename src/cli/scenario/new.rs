@@ -13,7 +13,7 @@ use super::Verdict;
 pub(super) struct Args {
     /// Name of the scenario and of its files.
     name: String,
-    /// Template: cross, tee, roundabout, merge, grid, bottleneck or parking.
+    /// Template: cross, signals, tee, roundabout, merge, grid, bottleneck or parking.
     #[arg(long, short)]
     template: String,
     /// Number of lanes per direction: 1 to 4, in a bottleneck 2 to 4, in a parking lot 1 [default:

@@ -36,6 +36,8 @@ const DEFAULTS: &str = r#"
 const STREAMS: usize = 16;
 /// Approximate speed at which vehicles that steer take narrow curves \[m/s\].
 const CURVES: f64 = 5.0;
+/// Time for which vehicles may have to wait for signals \[s\]: the cycle of netconvert's programs.
+const CYCLE: f64 = 90.0;
 /// Ratio of the horizon to the steps that the longest route takes without waiting.
 const PATIENCE: f64 = 8.0;
 
@@ -192,7 +194,8 @@ impl Layout {
             // keep them from passing red.
             scenario.reward.red_light = 10.0 * scenario.reward.crash;
         }
-        scenario.termination.horizon = horizon.clamp(500.0, 1e6) as u32;
+        let red = if has_signals { CYCLE / scenario.control.interval } else { 0.0 };
+        scenario.termination.horizon = (horizon.max(500.0) + red).min(1e6) as u32;
         if steers != Steers::No {
             steer(&mut scenario);
         }

@@ -81,7 +81,7 @@ pub fn create(
             }
         };
         let site = Site {
-            has_signals: false,
+            has_signals: template == Template::Signals,
             description: template.description().into(),
             rows: starts(&plan.routes).into_values().map(row).collect(),
             routes: plan.routes,

@@ -14,6 +14,8 @@ use crate::words::counted;
 pub enum Template {
     /// A junction with four arms, right before left: straight on, left, right.
     Cross,
+    /// A junction with four arms and signals: straight on, left, right.
+    Signals,
     /// A junction with three arms, where the straight road has priority.
     Tee,
     /// A roundabout with four arms, whose circle has priority.
@@ -74,8 +76,9 @@ const LOT_SPEED: f64 = 22.222;
 
 impl Template {
     /// All templates.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::Cross,
+        Self::Signals,
         Self::Tee,
         Self::Roundabout,
         Self::Merge,
@@ -88,6 +91,7 @@ impl Template {
     pub fn name(self) -> &'static str {
         match self {
             Self::Cross => "cross",
+            Self::Signals => "signals",
             Self::Tee => "tee",
             Self::Roundabout => "roundabout",
             Self::Merge => "merge",
@@ -107,6 +111,9 @@ impl Template {
         match self {
             Self::Cross => {
                 "Vehicles cross an unsignalised intersection: straight on, left or right."
+            }
+            Self::Signals => {
+                "Vehicles cross an intersection with signals: straight on, left or right."
             }
             Self::Tee => "Vehicles pass an unsignalised T-junction.",
             Self::Roundabout => "Vehicles enter a roundabout and leave it at one of three exits.",
@@ -149,7 +156,7 @@ impl Template {
             return Err(Error::size("speed", &sizes.speed, format!("1 to {speed} m/s{kind}")));
         }
         let starts = match self {
-            Self::Cross | Self::Roundabout => 4 * lanes,
+            Self::Cross | Self::Signals | Self::Roundabout => 4 * lanes,
             Self::Tee => 3 * lanes,
             Self::Merge => lanes + 1,
             Self::Grid => 8 * lanes,
@@ -170,9 +177,10 @@ impl Template {
             return Err(Error::size("arm-length", &arm, allowed));
         }
         let mut plan = match self {
-            Self::Cross => streets(1, &ARMS, lanes, arm),
-            Self::Tee => streets(1, &ARMS[..3], lanes, arm),
-            Self::Grid => streets(2, &ARMS, lanes, arm),
+            Self::Cross => streets(1, &ARMS, "right_before_left", lanes, arm),
+            Self::Signals => streets(1, &ARMS, "traffic_light", lanes, arm),
+            Self::Tee => streets(1, &ARMS[..3], "priority", lanes, arm),
+            Self::Grid => streets(2, &ARMS, "right_before_left", lanes, arm),
             Self::Roundabout => roundabout(lanes, arm),
             Self::Merge => merge(lanes, arm),
             Self::Bottleneck => bottleneck(lanes, arm),
@@ -186,10 +194,9 @@ impl Template {
     }
 }
 
-/// Returns `size` x `size` junctions with arms on the given sides. Roads between junctions and to
+/// Returns `size` x `size` junctions of a type with arms on the given sides. Roads between junctions and to
 /// the ends of the arms are `arm` metres long.
-fn streets(size: usize, arms: &[(&str, usize)], lanes: u32, arm: f64) -> Plan {
-    let kind = if arms.len() < 4 { "priority" } else { "right_before_left" };
+fn streets(size: usize, arms: &[(&str, usize)], kind: &'static str, lanes: u32, arm: f64) -> Plan {
     let side = arm + corner(lanes);
     let place = |[column, row]: [usize; 2]| [column as f64 * side, row as f64 * side];
     let junction = |[column, row]: [usize; 2]| {
