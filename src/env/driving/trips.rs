@@ -191,3 +191,27 @@ impl Trip {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::driving::tests::scenario;
+
+    #[test]
+    fn the_pace_is_that_of_all_vehicles_on_the_road() {
+        let task = Task::new(&scenario("flow_ring"), 6).expect("a task");
+        let on_road =
+            |status: Status, speed: f64| Slot { status, speed, departed: true, ..Slot::default() };
+        let mut trips = Trips::default();
+        let empty = Slot { status: Status::Empty, ..on_road(Status::Active, 50.0) };
+        let waiting = Slot { departed: false, ..on_road(Status::Active, 50.0) };
+        let first = [on_road(Status::Active, 6.0), on_road(Status::Active, 2.0), empty, waiting];
+        trips.watch(&task.map, &first);
+        // In the second step a vehicle has crashed, and stands.
+        trips.watch(&task.map, &[on_road(Status::Active, 4.0), on_road(Status::Wreck, 0.0)]);
+        let found = trips.flow(&task, 2, &[], &[], 0);
+        assert!((found.speed - 3.0).abs() < 1e-9 && (found.standing - 0.25).abs() < 1e-9);
+        trips.begin();
+        assert_eq!(trips.flow(&task, 0, &[], &[], 0).speed, 0.0);
+    }
+}
