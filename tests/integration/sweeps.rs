@@ -313,6 +313,26 @@ fn failures_are_told_and_retried_on_request() {
 }
 
 #[test]
+fn a_sweep_goes_on_where_its_program_is_replaced() {
+    let folder = folder();
+    let out = folder.path().join("runs");
+    let short = FILE.replace("steps = 4096", "steps = 256").replace("seed = [0, 1]", "seed = [0]");
+    let file = sweep_file(folder.path(), &short);
+    let program = folder.path().join("iwol");
+    std::fs::copy(env!("CARGO_BIN_EXE_iwol"), &program).expect("copied");
+    let mut command = Command::new(&program);
+    command.current_dir(root()).arg("sweep").arg(file).arg("--out").arg(&out);
+    command.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut running = Killed(command.spawn().expect("it starts"));
+    until("a child process", || !children(running.0.id()).is_empty());
+    std::fs::remove_file(&program).expect("removed");
+    // The training is followed by three evaluations, each with a process of its own.
+    assert!(running.0.wait().expect("it ends").success());
+    let found = std::fs::read_dir(out.join("tiny/mappo/seed_0/evaluations")).expect("evaluations");
+    assert_eq!(found.count(), 3);
+}
+
+#[test]
 fn shards_divide_the_grid() {
     let folder = folder();
     let file = sweep_file(folder.path(), &FILE.replace("seed = [0, 1]", "seed = [0, 1, 2, 3, 4]"));

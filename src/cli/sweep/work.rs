@@ -136,9 +136,12 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
     let log = cell.log();
     let open = || File::options().create(true).append(true).open(&log);
     let log = open().with_context(|| format!("cannot write `{}`", log.display()))?;
-    let program = std::env::current_exe().context("cannot find the executable of this program")?;
-    let mut command = Command::new(program);
-    command.args(["--die-with-parent", &std::process::id().to_string()]).args(&job.arguments);
+    // The program that runs, also where its file has been replaced since, as a build does.
+    let mut command = Command::new("/proc/self/exe");
+    command
+        .arg0("iwol")
+        .args(["--die-with-parent", &std::process::id().to_string()])
+        .args(&job.arguments);
     command.env("RUST_BACKTRACE", "0");
     // The child gets its own process group, so that Ctrl-C reaches only this program, which passes
     // one signal on. A second signal would make the child end at once, without a checkpoint.
