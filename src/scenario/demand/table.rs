@@ -165,7 +165,8 @@ macro_rules! vehicle {
         )
     };
 }
-const VEHICLE_IDLE: &str = "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength";
+const VEHICLE_IDLE: &str = "color arrival departPosLat arrivalPosLat containerNumber insertionChecks reroute cost routeLength \
+    parkingBadges";
 const VEHICLE_LEFT_OUT: [(&str, &str); 3] = [
     ("fromTaz toTaz", ZONES),
     ("fromLonLat toLonLat viaLonLat fromXY toXY viaXY", COORDINATES),
@@ -202,11 +203,14 @@ pub(super) const STOP: Known = Known {
     taken: "lane edge startPos endPos friendlyPos duration until parking busStop trainStop \
         containerStop chargingStation parkingArea",
     idle: "posLat index arrival extension expected permitted expectedContainers actType tripId line \
-        priorEdges priorEdgesLength started ended onDemand actualArrival depart collision",
+        priorEdges priorEdgesLength started ended onDemand actualArrival depart collision priority",
     left_out: &[
         ("triggered containerTriggered split join", WAITING),
         ("speed", "waypoints are not taken: delete the stop"),
+        ("jump jumpUntil", "vehicles do not jump: split the route into two vehicles"),
+        ("lon lat x y", "give `lane` and `endPos`"),
     ],
+    idle_children: "param",
     ..NOTHING
 };
 
@@ -232,22 +236,26 @@ pub(super) const PERSON: Known = Known {
 
 pub(super) const PERSON_FLOW: Known = Known {
     name: "personFlow",
-    taken: "id type departPos begin end number period personsPerHour perHour probability",
+    taken: "id type departPos begin end number period personsPerHour vehsPerHour perHour \
+        probability",
     ..PERSON
 };
 
 pub(super) const WALK: Known = Known {
     name: "walk",
     taken: "edges from to arrivalPos",
-    idle: "speed duration departPos departPosLat departLane cost routeLength exitTimes started ended",
+    idle: "speed duration departPos departPosLat departLane cost routeLength exitTimes started ended \
+        waitingTime",
     left_out: &[
         ("fromTaz toTaz", ZONES),
+        ("fromLonLat toLonLat fromXY toXY", COORDINATES),
         (
             "busStop trainStop containerStop chargingStation parkingArea",
             "give `edges` and `arrivalPos`",
         ),
         ("fromJunction toJunction viaJunctions route", "give `edges`, or `from` and `to`"),
     ],
+    idle_children: "param",
     ..NOTHING
 };
 
