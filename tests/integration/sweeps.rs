@@ -200,8 +200,8 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         "| success % at communication range (± t-interval over seeds) | 100.0 | 10.0 |",
         "| published | 50.0 | – |",
         // With a single place, all metrics are columns of one table.
-        "| ± t-interval over seeds | success % | safety % | window reward (throughput) | loitering % |",
-        "| published, plain | 25.0 | – | 300.0 | – |",
+        "| ± t-interval over seeds | success % | safety % | crash % | window reward (throughput) | loitering % |",
+        "| published, plain | 25.0 | – | – | 300.0 | – |",
         "km per crash",
         "Evaluated by iwol",
     ] {
