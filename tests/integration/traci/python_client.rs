@@ -12,7 +12,7 @@ use iwol_sumo::sumo::{
 };
 use serde_json::Value as Json;
 
-use super::{json::ToJson, world::World};
+use super::{is_old, json::ToJson, world::World};
 
 const SECONDS: f64 = 50.0;
 
@@ -295,6 +295,12 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
         let refused = theirs.remove(key).unwrap();
         assert!(refused.as_str().unwrap().starts_with("refused"), "{refused}");
     }
+    let sumo = Installation::find().unwrap().version().unwrap();
+    let old = is_old(sumo.release());
+    if !old {
+        // Calls that SUMO has added since.
+        theirs.retain(|key, _| ours.contains_key(key));
+    }
     let keys = |values: &BTreeMap<String, Json>| values.keys().cloned().collect::<Vec<_>>();
     assert_eq!(keys(&ours), keys(&theirs));
     let mut different = Vec::new();
@@ -322,7 +328,9 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
         "{}",
         theirs.values().filter(told).count()
     );
-    nothing_is_missing(&methods);
+    if old {
+        nothing_is_missing(&methods);
+    }
 }
 
 /// Source files that define the calls of each domain; `macros.rs` defines the calls of several
