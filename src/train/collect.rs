@@ -211,7 +211,7 @@ mod tests {
             let flags = [("scenario", scenario), ("algorithm", algorithm)];
             let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
             let sets = vec![format!("channel.loss={loss}")];
-            let layers = Layers { flags, sets, ..Layers::default() };
+            let layers = Layers { sets, flags, ..Layers::default() };
             let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
             assert_eq!(config.cannot_be_trained(), None);
             (config.train.envs, config.train.rollout_steps) = (2, 8);
