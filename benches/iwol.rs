@@ -166,6 +166,7 @@ fn act(c: &mut Criterion) {
             comm: zeros(&[worlds, agents, agents]) + 1.0,
             start: zeros(&[worlds, agents]),
             memory: zeros(&[worlds, agents, learner.memory() as i64]),
+            replaced: zeros(&[0]),
         };
         c.bench_function(&format!("act/{name}"), |b| {
             b.iter(|| learner.act(black_box(&input), &ActMode::Deterministic));

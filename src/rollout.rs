@@ -27,7 +27,7 @@ pub struct Sizes {
     pub state: usize,
     /// Number A of action dimensions.
     pub actions: usize,
-    /// Width M of the policy's memory per agent (0: none).
+    /// Width M of what the policy remembers per agent in training (0: nothing).
     pub memory: usize,
     /// Number G of communication graphs that the policy samples at each decision (0: none).
     pub graphs: usize,
@@ -44,6 +44,9 @@ pub struct Rollout {
     pub state: Vec<f32>,
     /// Physical mask, `[T + 1, E, N, N]`; the diagonal is 1 for agents that are present.
     pub comm: Vec<f32>,
+    /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
+    /// from 1, or 0, `[T + 1, E, N, N]`; empty where no message is falsified.
+    pub replaced: Vec<f32>,
     /// 1 where an agent acts, else 0, `[T + 1, E, N]`.
     pub active: Vec<f32>,
     /// 1 where trajectories start and memories are cleared, else 0, `[T + 1, E, N]`.
@@ -91,6 +94,7 @@ impl Rollout {
             observation: vec![0.0; closed * sizes.observation],
             state: vec![0.0; closed * sizes.state],
             comm: vec![0.0; closed * sizes.agents],
+            replaced: Vec::new(),
             active: vec![0.0; closed],
             start: vec![0.0; closed],
             memory: vec![0.0; closed * sizes.memory],

@@ -179,6 +179,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.copies[0].memory() as usize
     }
 
+    fn training_memory(&self) -> usize {
+        self.memory() + self.copies[0].radio().map_or(0, |radio| radio.memory() as usize)
+    }
+
     fn graphs(&self) -> usize {
         N::GRAPHS
     }

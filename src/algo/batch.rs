@@ -20,6 +20,8 @@ pub(super) struct Batch {
     pub(super) state: Tensor,
     /// Physical masks, `[(T + 1) · E, N, N]`.
     pub(super) comm: Tensor,
+    /// The numbers of false messages, or 0, `[(T + 1) · E, N, N]`; empty where none is falsified.
+    pub(super) replaced: Tensor,
     /// 1 where an agent acts, `[T · E, N]`.
     pub(super) active: Tensor,
     /// 0 where a trajectory starts and memories are cleared, else 1, `[(T + 1) · E, N]`.
@@ -73,6 +75,7 @@ impl Batch {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
             comm: tensor(&rollout.comm, &[closed, n, n]),
+            replaced: tensor(&rollout.replaced, &[-1, n, n]),
             active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
             keep: start.ones_like() - start,
             memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
@@ -153,6 +156,7 @@ impl Batch {
             observation: change(&self.observation),
             state: change(&self.state),
             comm: change(&self.comm),
+            replaced: change(&self.replaced),
             active: change(&self.active),
             keep: change(&self.keep),
             memory: change(&self.memory),

@@ -1,5 +1,6 @@
-//! The radio between agents. In training it can lose messages: edges of the physical mask are cut
-//! at random. In evaluation it can also round, delay, falsify and shuffle them.
+//! The channel between agents, which can lose, round, delay, falsify and shuffle messages. This
+//! file has the channel of an evaluation; training needs gradients, for which see
+//! [`radio`](super::radio).
 //!
 //! Agents send their embedding f. Each agent computes the rest (its graph and its messages) from
 //! the embeddings that arrived at it, with its own embedding intact. With several rounds it does so
@@ -12,10 +13,10 @@ use smart_default::SmartDefault;
 use tch::{Device, Kind, Tensor};
 
 use super::decision::Observation;
-use super::encoder::{Encoder, encode_rows};
+use super::encoder::{Encoder, EncoderKind, encode_rows};
 use crate::rng::Rng;
 
-/// Disturbances of messages between agents. In training, only `loss` applies.
+/// Disturbances of messages between agents, in training and in evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -28,7 +29,8 @@ pub struct Channel {
     /// Probability that a message is lost, independent for each receiver and step.
     #[schemars(range(min = 0, max = 1))]
     pub loss: f64,
-    /// Delay of messages in steps. No message arrives in the first `delay` steps of an episode.
+    /// Delay of messages in steps. No message arrives in an agent's first `delay` steps. Training
+    /// with a delay needs an encoder without memory (`network.encoder`).
     #[schemars(range(max = 100))]
     pub delay: u32,
     /// Probability that a message is replaced by normal noise of the same mean and standard
@@ -37,7 +39,7 @@ pub struct Channel {
     pub falsified: f64,
     /// Whether agents hear what agents of another episode say: the messages are as many and look
     /// alike, but say nothing about this episode. Results then depend on which episodes are played
-    /// side by side.
+    /// side by side. For evaluation only.
     pub shuffled: bool,
 }
 
@@ -53,9 +55,18 @@ impl Channel {
         *self == Self { loss: self.loss, ..Self::default() }
     }
 
-    /// Returns whether the channel at most loses messages in the way that training can.
-    pub fn can_train(&self) -> bool {
-        self.only_loses()
+    /// Returns why a policy with this encoder cannot be trained with this channel, if it cannot.
+    pub fn cannot_train(&self, encoder: EncoderKind) -> Option<&'static str> {
+        if self.shuffled {
+            return Some(
+                "channel.shuffled is a test of what messages say, for evaluation only: omit it",
+            );
+        }
+        let remembers = self.delay > 0 && encoder == EncoderKind::Gru;
+        remembers.then_some(
+            "channel.delay in training needs an encoder without memory: set network.encoder to \"mlp\" or \"attention\", or set \
+             channel.delay in the evaluation only",
+        )
     }
 
     /// Returns the bits of a message of `width` numbers; 0 for methods without messages.
@@ -106,12 +117,42 @@ impl ChannelNoise {
 }
 
 /// The embeddings that receivers know after the exchange.
-struct Heard {
+pub(super) struct Heard {
     /// Embeddings, `[E, N, N, H]`; row `i` holds what agent `i` knows of every agent, itself
     /// included.
-    embedding: Tensor,
+    pub(super) embedding: Tensor,
     /// 1 where the embedding arrived, else 0, `[E, N, N]`.
-    arrived: Tensor,
+    pub(super) arrived: Tensor,
+}
+
+impl Heard {
+    /// Returns what arrives of the embeddings `sent [E, N, H]` by agents whose own are
+    /// `f [E, N, H]`. Nothing arrives of a sender that is `silent [E, N]`, nor where `arrived
+    /// [E, N, N]` is 0. `replaced` says which messages are false, `[E, N, N]`, and has standard
+    /// normal contents for them, `[E, N, N, H]`, which take the mean and the spread of the true
+    /// message. Agents always know their own embedding.
+    pub(super) fn of(
+        f: &Tensor,
+        sent: &Tensor,
+        silent: &Tensor,
+        arrived: &Tensor,
+        replaced: Option<&(Tensor, Tensor)>,
+    ) -> Self {
+        let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
+        let everyone = |x: &Tensor| x.unsqueeze(1).expand([envs, agents, agents, width], false);
+        let mut arriving = everyone(sent);
+        if let Some((replaced, content)) = replaced {
+            let sent = sent.detach();
+            let mean = sent.mean_dim(-1, true, Kind::Float);
+            let spread = (&sent - &mean).square().mean_dim(-1, true, Kind::Float).sqrt();
+            let of_senders = content * spread.unsqueeze(1) + mean.unsqueeze(1);
+            arriving = of_senders.where_self(&replaced.unsqueeze(-1), &arriving);
+        }
+        let own = Tensor::eye(agents, (Kind::Bool, f.device()));
+        let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
+        let missing = silent.unsqueeze(1).logical_and(&own.logical_not());
+        Self { embedding, arrived: arrived.masked_fill(&missing, 0.0) }
+    }
 }
 
 /// Makes one decision in which embeddings pass through a channel. `read` computes each receiver's
@@ -138,12 +179,11 @@ pub(super) fn exchange(
     (made, f, Tensor::cat(&[&memory, &past], -1))
 }
 
-/// Returns the physical mask `[E, N, N]` as each receiver sees it, `[E · N, N, N]`: only edges from
-/// agents whose embedding `arrived [E · N, 1, N]` at the receiver.
-pub(super) fn of_everyone(comm: &Tensor, arrived: &Tensor) -> Tensor {
-    let (envs, agents, _) = comm.size3().expect("the physical mask is [E, N, N]");
-    let each = comm.unsqueeze(1).expand([-1, agents, -1, -1], false);
-    each.reshape([envs * agents, agents, agents]) * arrived
+/// Repeats what is known of all pairs, `[E, N, K]`, for each receiver, `[E · N, N, K]`.
+pub(super) fn of_everyone(pairs: &Tensor) -> Tensor {
+    let (envs, agents, width) = pairs.size3().expect("pairs are [E, N, K]");
+    let each = pairs.unsqueeze(1).expand([-1, agents, -1, -1], false);
+    each.reshape([envs * agents, agents, width])
 }
 
 /// Returns the receivers' own entries, `[E · N, D]`, from rows of agents with one row per receiver,
@@ -165,23 +205,12 @@ impl Channel {
         past: &Tensor,
         noise: &ChannelNoise,
     ) -> (Heard, Tensor) {
-        let (envs, agents, width) = f.size3().expect("embeddings are [E, N, H]");
-        let sent = self.rounded(f);
-        let (sent, silent, past) = self.delayed(&sent, keep, past);
+        let (sent, silent, past) = self.delayed(&self.rounded(f), keep, past);
         // Every world hears the world before it.
         let sent = if self.shuffled { sent.roll([1], [0]) } else { sent };
-        let everyone = |x: &Tensor| x.unsqueeze(1).expand([envs, agents, agents, width], false);
-        let mut arriving = everyone(&sent);
-        if self.falsified > 0.0 {
-            let mean = arriving.mean_dim(-1, true, Kind::Float);
-            let spread = (&arriving - &mean).square().mean_dim(-1, true, Kind::Float).sqrt();
-            let false_ones = noise.falsified.lt(self.falsified).unsqueeze(-1);
-            arriving = (&noise.content * spread + mean).where_self(&false_ones, &arriving);
-        }
-        let own = Tensor::eye(agents, (Kind::Bool, f.device()));
-        let embedding = everyone(f).where_self(&own.unsqueeze(-1), &arriving);
-        let arrived = self.arrived(noise).masked_fill(&silent.logical_and(&own.logical_not()), 0.0);
-        (Heard { embedding, arrived }, past)
+        let replaced = (self.falsified > 0.0)
+            .then(|| (noise.falsified.lt(self.falsified), noise.content.shallow_clone()));
+        (Heard::of(f, &sent, &silent, &self.arrived(noise), replaced.as_ref()), past)
     }
 
     /// Returns 1 where a message is not lost, else 0, `[E, N, N]`; an agent's own embedding is
@@ -191,7 +220,8 @@ impl Channel {
         noise.lost.ge(self.loss).logical_or(&own).to_kind(Kind::Float)
     }
 
-    fn rounded(&self, f: &Tensor) -> Tensor {
+    /// Returns what is left of embeddings `[E, N, H]` in messages of as many bits.
+    pub(super) fn rounded(&self, f: &Tensor) -> Tensor {
         if self.bits >= 32 {
             return f.shallow_clone();
         }
@@ -200,18 +230,18 @@ impl Channel {
         (f / &scale * steps).round() / steps * scale
     }
 
-    /// Returns the embeddings sent `delay` decisions ago, whether nothing arrives yet
-    /// (`[E, 1, 1]`), and the past of the next decision.
+    /// Returns the embeddings sent `delay` decisions ago, whether nothing arrives of a sender yet
+    /// (`[E, N]`), and the past of the next decision.
     fn delayed(&self, sent: &Tensor, keep: &Tensor, past: &Tensor) -> (Tensor, Tensor, Tensor) {
         let (envs, agents, width) = sent.size3().expect("messages are [E, N, H]");
         let delay = i64::from(self.delay);
         if delay == 0 {
-            let none = Tensor::zeros([envs, 1, 1], (Kind::Bool, sent.device()));
+            let none = Tensor::zeros([envs, agents], (Kind::Bool, sent.device()));
             return (sent.shallow_clone(), none, past.shallow_clone());
         }
         let past = past * keep.unsqueeze(-1);
         let age = past.narrow(2, 0, 1);
-        let silent = age.narrow(1, 0, 1).lt(delay as f64);
+        let silent = age.squeeze_dim(-1).lt(delay as f64);
         // The oldest embedding comes first.
         let queue = Tensor::cat(&[&past.narrow(2, 1, delay * width), sent], -1);
         let next = Tensor::cat(&[&(age + 1.0), &queue.narrow(2, width, delay * width)], -1);

@@ -1,7 +1,8 @@
 //! Inputs and outputs of a policy at one decision of E worlds with N agent slots each.
 
-use tch::{Device, Tensor};
+use tch::{Device, Kind, Tensor};
 
+use super::radio::Radio;
 use crate::rollout::Rollout;
 
 /// The input of a policy at one decision.
@@ -15,6 +16,9 @@ pub struct Observation {
     pub start: Tensor,
     /// Memory of the policy after the last decision, `[E, N, M]`.
     pub memory: Tensor,
+    /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
+    /// from 1, or 0, `[E, N, N]`; empty unless messages are falsified in training.
+    pub replaced: Tensor,
 }
 
 impl Observation {
@@ -30,6 +34,11 @@ impl Observation {
             comm: part(&rollout.comm, s.agents),
             start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
+            replaced: if rollout.replaced.is_empty() {
+                Tensor::zeros([0], (Kind::Float, Device::Cpu))
+            } else {
+                part(&rollout.replaced, s.agents)
+            },
         }
     }
 
@@ -38,10 +47,11 @@ impl Observation {
         self.start.ones_like() - &self.start
     }
 
-    /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the old
-    /// memory where the encoder has none.
-    pub(super) fn memory_after(&self, encoder: Option<Tensor>) -> Tensor {
-        encoder.map_or_else(|| self.memory.shallow_clone(), |memory| memory.view_as(&self.memory))
+    /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the
+    /// messages that are under way in the radio, or the old memory where there is neither.
+    pub(super) fn memory_after(&self, encoder: Option<Tensor>, radio: Option<&Radio>) -> Tensor {
+        let kept = || radio.map_or_else(|| self.memory.shallow_clone(), |radio| radio.after(self));
+        encoder.map_or_else(kept, |memory| memory.view_as(&self.memory))
     }
 
     /// Returns this input with the memory `memory`.
@@ -59,6 +69,7 @@ impl Observation {
             comm: change(&self.comm),
             start: change(&self.start),
             memory: change(&self.memory),
+            replaced: change(&self.replaced),
         }
     }
 }
@@ -85,6 +96,11 @@ pub enum ActMode<'a> {
 }
 
 impl ActMode<'_> {
+    /// Returns the radio of training, through which messages pass while a policy explores.
+    pub(super) fn radio<'a>(&self, radio: Option<&'a Radio>) -> Option<&'a Radio> {
+        radio.filter(|_| matches!(self, Self::Sample { .. }))
+    }
+
     /// Returns the noise of the graphs; `None` for the most likely graphs.
     pub(super) fn graph_noise(&self) -> Option<&Tensor> {
         match self {

@@ -20,6 +20,7 @@ use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::{MessageCritic, MessageTrunk};
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
 use super::{Channel, ChannelNoise, CommunicationScope};
@@ -34,13 +35,13 @@ pub(super) struct ExIwol {
     /// Whether the world decoder is trained.
     trained: bool,
     critic: MessageCritic,
+    radio: Option<Radio>,
 }
 
 impl ExIwol {
-    /// Computes the messages of one decision. `graph` is the noise of the graph; without it, the
-    /// graph is the most likely one.
-    fn exchange(&self, input: &Observation, graph: Option<&Tensor>) -> Messages {
-        self.trunk.forward(&Scene::of(input, graph))
+    /// Computes the messages of one decision over the most likely graph.
+    fn exchange(&self, input: &Observation) -> Messages {
+        self.trunk.forward(&Scene::of(input, None), None)
     }
 }
 
@@ -68,6 +69,7 @@ impl Networks for ExIwol {
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
             trained: iwol.lambda_world > 0.0,
             critic: MessageCritic::new(builder.of(CRITIC), spec, network, iwol),
+            radio: Radio::new(settings, spec.observation.len(), hidden, builder.device()),
         }
     }
 
@@ -83,12 +85,17 @@ impl Networks for ExIwol {
         &self.critic
     }
 
+    fn radio(&self) -> Option<&Radio> {
+        self.radio.as_ref()
+    }
+
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let messages = self.exchange(input, mode.graph_noise());
+        let radio = mode.radio(self.radio.as_ref());
+        let messages = self.trunk.forward(&Scene::of(input, mode.graph_noise()), radio);
         let read =
             messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        Decision { action, log_prob, memory: input.memory_after(messages.memory) }
+        Decision { action, log_prob, memory: input.memory_after(messages.memory, radio) }
     }
 
     fn message_width(&self) -> i64 {
@@ -108,7 +115,7 @@ impl Networks for ExIwol {
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
-        Some(self.exchange(input, None).graph)
+        Some(self.exchange(input).graph)
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
@@ -117,7 +124,7 @@ impl Networks for ExIwol {
         let value = value_loss(batch, shard, &values, norm);
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let messages = self.trunk.forward(&scene);
+        let messages = self.trunk.forward(&scene, self.radio.as_ref());
         let [open, possible] = shard.edges(&messages.graph, &scene.comm);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
@@ -133,7 +140,7 @@ impl Networks for ExIwol {
         if !self.trained {
             return Vec::new();
         }
-        let messages = self.exchange(input, None);
+        let messages = self.exchange(input);
         vec![self.world.reconstruct(&messages.packing.unpack(&messages.message), state)]
     }
 }

@@ -42,6 +42,7 @@ use super::encoder::Encoder;
 use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
 use crate::env::EnvSpec;
@@ -67,6 +68,7 @@ pub(super) struct Magic {
     world: Option<WorldDecoder>,
     critic: PrivilegedCritic,
     hidden: i64,
+    radio: Option<Radio>,
 }
 
 impl Magic {
@@ -90,7 +92,34 @@ impl Magic {
         (self.rounds[1].forward(&first, packing, &graphs[1]), graphs)
     }
 
-    fn exchange(&self, scene: &Scene) -> Messages {
+    /// Returns each receiver's message, `[rows · N, H]`, and its rows of the graphs of both rounds,
+    /// from the embeddings that it knows, `[rows · N, N, H]`, and 1 where one `arrived`,
+    /// `[rows · N, 1, N]`. `physical` and `noise` are those of [`Magic::communicate`].
+    fn read(
+        &self,
+        known: &Tensor,
+        physical: &Tensor,
+        arrived: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> (Tensor, [Tensor; 2]) {
+        let (rows, agents, _) = known.size3().expect("embeddings are [rows · N, N, H]");
+        let packing = Packing::full(rows, agents);
+        let edges = of_everyone(physical) * arrived;
+        let noise = noise.map(of_everyone);
+        let (made, graphs) =
+            self.communicate(&known.flatten(0, 1), &packing, &edges, noise.as_ref());
+        (of_receivers(&packing.unpack(&made)), graphs.map(|graph| of_receivers(&graph)))
+    }
+
+    /// Computes the messages. They pass through the radio of training, or arrive as they were sent.
+    fn exchange(&self, scene: &Scene, radio: Option<&Radio>) -> Messages {
+        if let Some(radio) = radio {
+            return scene.through(&self.encoder, radio, |known, arrived| {
+                let (made, [first, second]) =
+                    self.read(known, &scene.comm, arrived, scene.noise.as_ref());
+                (made, first.maximum(&second))
+            });
+        }
         let packing = scene.packing();
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
         let (message, [first, second]) =
@@ -136,6 +165,7 @@ impl Networks for Magic {
             world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
             hidden,
+            radio: Radio::new(settings, spec.observation.len(), hidden, builder.device()),
         }
     }
 
@@ -152,11 +182,16 @@ impl Networks for Magic {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+        let radio = mode.radio(self.radio.as_ref());
         let Messages { message, embedding, packing, memory, .. } =
-            self.exchange(&Scene::of(input, mode.graph_noise()));
+            self.exchange(&Scene::of(input, mode.graph_noise()), radio);
         let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        Decision { action, log_prob, memory: input.memory_after(memory) }
+        Decision { action, log_prob, memory: input.memory_after(memory, radio) }
+    }
+
+    fn radio(&self) -> Option<&Radio> {
+        self.radio.as_ref()
     }
 
     fn message_width(&self) -> i64 {
@@ -171,13 +206,7 @@ impl Networks for Magic {
     ) -> Decision {
         let (message, f, memory) =
             exchange(&self.encoder, input, channel, noise, |known, arrived| {
-                let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
-                let packing = Packing::full(rows, agents);
-                let edges = of_everyone(&input.comm, arrived);
-                of_receivers(
-                    &packing
-                        .unpack(&self.communicate(&known.flatten(0, 1), &packing, &edges, None).0),
-                )
+                self.read(known, &input.comm, arrived, None).0
             });
         let (action, log_prob) =
             self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
@@ -185,13 +214,13 @@ impl Networks for Magic {
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
-        Some(self.exchange(&Scene::of(input, None)).graph)
+        Some(self.exchange(&Scene::of(input, None), None).graph)
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
-        let messages = self.exchange(&scene);
+        let messages = self.exchange(&scene, self.radio.as_ref());
         let [open, possible] = shard.edges(&messages.graph, &scene.comm);
         let [message, embedding] =
             shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
@@ -211,7 +240,7 @@ impl Networks for Magic {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let reconstruct = |world: &WorldDecoder| {
-            let messages = self.exchange(&Scene::of(input, None));
+            let messages = self.exchange(&Scene::of(input, None), None);
             world.reconstruct(&messages.packing.unpack(&messages.message), state)
         };
         self.world.as_ref().map(reconstruct).into_iter().collect()

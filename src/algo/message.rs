@@ -10,6 +10,7 @@ use super::critic::ValueFunction;
 use super::decision::Observation;
 use super::encoder::Encoder;
 use super::networks::HEADS;
+use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::{Iwol, Network};
 use crate::env::{EnvSpec, Features};
@@ -66,34 +67,52 @@ impl MessageTrunk {
             // A channel that only loses messages is a mask on the graph that all agents share.
             let scene = Scene::of(input, None);
             let heard =
-                self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene });
+                self.forward(&Scene { comm: &scene.comm * channel.arrived(noise), ..scene }, None);
             return (
                 heard.packing.unpack(&heard.message),
                 heard.packing.unpack(&heard.embedding),
-                input.memory_after(heard.memory),
+                input.memory_after(heard.memory, None),
             );
         }
         exchange(&self.encoder, input, channel, noise, |known, arrived| {
-            let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
-            if one {
-                let own =
-                    Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
-                let edges = input.comm.reshape([rows, 1, agents]) * arrived;
-                return self.transformer.forward_one(
-                    known,
-                    &own,
-                    &self.graph.forward_one(known, &own, &edges),
-                );
-            }
-            let edges = of_everyone(&input.comm, arrived);
-            let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
-            let graph = self.graph.forward(&all, &packing, &edges, None);
-            of_receivers(&packing.unpack(&self.transformer.forward(&all, &packing, &graph)))
+            self.read(known, &input.comm, arrived, None).0
         })
     }
 
-    /// Computes the message path where every message arrives as it was sent.
-    pub(super) fn forward(&self, scene: &Scene) -> Messages {
+    /// Computes the message of each receiver, `[E · N, D]`, and the edges of its graph that lead to
+    /// it, `[E · N, N]`, from the embeddings known there, `[E · N, N, H]`, and 1 where an embedding
+    /// `arrived`, `[E · N, 1, N]`. `comm` is the physical mask and `noise` the graphs' noise, both
+    /// `[E, N, N]`.
+    fn read(
+        &self,
+        known: &Tensor,
+        comm: &Tensor,
+        arrived: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> (Tensor, Tensor) {
+        let (rows, agents, _) = known.size3().expect("embeddings are [rows, N, H]");
+        if self.transformer.rounds() == 1 {
+            let own = Tensor::arange(agents, (Kind::Int64, known.device())).repeat([rows / agents]);
+            let edges = comm.reshape([rows, 1, agents]) * arrived;
+            let noise = noise.map(|noise| noise.reshape([rows, agents]));
+            let graph = self.graph.forward_one(known, &own, &edges, noise.as_ref());
+            return (self.transformer.forward_one(known, &own, &graph), graph.squeeze_dim(1));
+        }
+        let edges = of_everyone(comm) * arrived;
+        let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
+        let graph = self.graph.forward(&all, &packing, &edges, noise.map(of_everyone).as_ref());
+        let made = packing.unpack(&self.transformer.forward(&all, &packing, &graph));
+        (of_receivers(&made), of_receivers(&graph))
+    }
+
+    /// Computes the message path. Messages pass through the radio of training, or arrive as they
+    /// were sent.
+    pub(super) fn forward(&self, scene: &Scene, radio: Option<&Radio>) -> Messages {
+        if let Some(radio) = radio {
+            return scene.through(&self.encoder, radio, |known, arrived| {
+                self.read(known, &scene.comm, arrived, scene.noise.as_ref())
+            });
+        }
         let packing = scene.packing();
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
         let graph = self.graph.forward(&embedding, &packing, &scene.comm, scene.noise.as_ref());
@@ -129,7 +148,7 @@ impl MessageCritic {
     /// read, `[B, D]`, and the numbers of open and of possible edges per listener.
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, [Tensor; 2]) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
-        let messages = self.trunk.forward(&scene);
+        let messages = self.trunk.forward(&scene, None);
         let edges = shard.edges(&messages.graph, &scene.comm);
         let Some(state) = &self.state else {
             let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
@@ -148,7 +167,7 @@ impl MessageCritic {
     /// the critic has a memory, because that memory is not kept outside training.
     pub(super) fn messages(&self, input: &Observation) -> Option<Tensor> {
         let messages = || {
-            let messages = self.trunk.forward(&Scene::of(input, None));
+            let messages = self.trunk.forward(&Scene::of(input, None), None);
             messages.packing.unpack(&messages.message)
         };
         (self.trunk.memory() == 0).then(messages)
@@ -176,18 +195,20 @@ impl ValueFunction for MessageCritic {
 
     /// Returns the values over the most likely graph.
     fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor> {
-        let messages = || self.trunk.forward(&Scene::of(input, None));
+        let messages = || self.trunk.forward(&Scene::of(input, None), None);
         (self.trunk.memory() == 0).then(|| self.rows(&messages(), state))
     }
 
     fn values(&self, batch: &Batch, length: i64, memory: &Tensor) -> (Tensor, Option<Tensor>) {
         if self.trunk.memory() > 0 {
-            let messages =
-                self.trunk.forward(&Scene::of_batch(batch, length, memory, &batch.value_graph));
+            let messages = self
+                .trunk
+                .forward(&Scene::of_batch(batch, length, memory, &batch.value_graph), None);
             return (self.rows(&messages, &batch.state), messages.memory);
         }
         let whole = Scene::of_batch(batch, 1, memory, &batch.value_graph);
-        let part = |scene: &Scene, state: &Tensor| self.rows(&self.trunk.forward(scene), state);
+        let part =
+            |scene: &Scene, state: &Tensor| self.rows(&self.trunk.forward(scene, None), state);
         (whole.in_parts(&batch.state, part), None)
     }
 }

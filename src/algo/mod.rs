@@ -32,6 +32,7 @@ mod networks;
 pub mod onnx;
 mod parameters;
 pub mod ppo;
+mod radio;
 mod scene;
 mod sequence;
 pub mod settings;
@@ -211,6 +212,12 @@ pub trait Algorithm {
     /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> usize;
 
+    /// Returns the width of what an agent remembers from one decision of a training to the next:
+    /// the policy's memory, or messages that are under way.
+    fn training_memory(&self) -> usize {
+        self.memory()
+    }
+
     /// Whether a world keeps the noise of its graphs for a whole rollout.
     fn graph_lasts(&self) -> bool {
         false
@@ -283,7 +290,8 @@ pub trait Algorithm {
 /// Builds an algorithm by name on `device`, with initial weights drawn from `seed`.
 ///
 /// # Errors
-/// [`Error::UnknownAlgorithm`].
+/// [`Error::UnknownAlgorithm`]; [`Error::Channel`] where the settings' channel cannot be trained
+/// with.
 pub fn build(
     name: &str,
     spec: &EnvSpec,
@@ -292,6 +300,9 @@ pub fn build(
     device: Device,
 ) -> Result<Box<dyn Algorithm>, Error> {
     let method = Method::named(name)?;
+    if let Some(why) = settings.channel.cannot_train(settings.network.encoder) {
+        return Err(Error::Channel { why });
+    }
     Ok((method.build)(spec, &settings.only(method.capabilities.settings), seed, device))
 }
 
@@ -332,6 +343,12 @@ pub enum Error {
     NoMessages {
         /// Name of the algorithm.
         algorithm: &'static str,
+    },
+    /// A policy cannot be trained with this channel.
+    #[error("{why}")]
+    Channel {
+        /// The reason, and what to do.
+        why: &'static str,
     },
     /// A stored state belongs to another network.
     #[error(transparent)]

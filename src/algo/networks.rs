@@ -10,6 +10,7 @@ use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::head::{GaussianHead, PolicyTerms};
 use super::parameters::{ParameterBuilder, ParameterGroup};
+use super::radio::Radio;
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -61,6 +62,12 @@ pub(super) trait Networks: Sized + Send {
 
     /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> i64;
+
+    /// Returns what rounding, delay and false messages do in training; `None` where messages are at
+    /// most lost, and for methods without messages.
+    fn radio(&self) -> Option<&Radio> {
+        None
+    }
 
     /// Whether the memory is trained through time, on sequences.
     fn is_recurrent(&self) -> bool {

@@ -49,6 +49,11 @@ impl ParameterBuilder {
         Self { device, seed, sets: Vec::new() }
     }
 
+    /// Returns the device of the parameters.
+    pub(super) fn device(&self) -> Device {
+        self.device
+    }
+
     /// Returns the root path of a group.
     pub(super) fn of(&mut self, set: ParameterGroup) -> Path<'_> {
         let at = self.sets.iter().position(|(own, ..)| *own == set).unwrap_or_else(|| {

@@ -3,8 +3,10 @@
 use tch::Tensor;
 
 use super::batch::{Batch, Shard};
+use super::channel::Heard;
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
+use super::radio::Radio;
 use crate::nn::Packing;
 
 /// Rows `[L · C]` of C sequences of L steps, with all N agents.
@@ -17,6 +19,9 @@ pub(super) struct Scene {
     pub(super) keep: Tensor,
     /// Physical masks, `[L · C, N, N]`.
     pub(super) comm: Tensor,
+    /// The number of the false message that each agent hears from another, counted from 1, or 0,
+    /// `[L · C, N, N]`; see [`radio`](super::radio).
+    pub(super) replaced: Option<Tensor>,
     /// Noise of the communication graphs, `[L · C, N, G · N]`; without it, graphs are the most
     /// likely ones.
     pub(super) noise: Option<Tensor>,
@@ -42,6 +47,11 @@ pub(super) struct Messages {
     pub(super) memory: Option<Tensor>,
 }
 
+/// Returns a tensor that has elements.
+fn some(tensor: &Tensor) -> Option<&Tensor> {
+    (tensor.numel() > 0).then_some(tensor)
+}
+
 impl Scene {
     /// Returns the scene of one decision, with all slots.
     pub(super) fn of(input: &Observation, noise: Option<&Tensor>) -> Self {
@@ -50,6 +60,7 @@ impl Scene {
             memory: input.memory.shallow_clone(),
             keep: input.keep(),
             comm: input.comm.shallow_clone(),
+            replaced: some(&input.replaced).map(Tensor::shallow_clone),
             noise: noise.map(Tensor::shallow_clone),
             length: 1,
             pack: false,
@@ -64,7 +75,8 @@ impl Scene {
             memory: memory.index_select(0, &shard.first),
             keep: shard.take(&batch.keep),
             comm: shard.take(&batch.comm),
-            noise: (noise.numel() > 0).then(|| shard.take(noise)),
+            replaced: some(&batch.replaced).map(|numbers| shard.take(numbers)),
+            noise: some(noise).map(|noise| shard.take(noise)),
             length: shard.length,
             pack: true,
         }
@@ -78,7 +90,8 @@ impl Scene {
             memory: memory.shallow_clone(),
             keep: batch.keep.shallow_clone(),
             comm: batch.comm.shallow_clone(),
-            noise: (noise.numel() > 0).then(|| noise.shallow_clone()),
+            replaced: some(&batch.replaced).map(Tensor::shallow_clone),
+            noise: some(noise).map(Tensor::shallow_clone),
             length,
             pack: true,
         }
@@ -123,6 +136,31 @@ impl Scene {
         (packing.pack(&f), memories)
     }
 
+    /// Computes a message path in which messages pass through the radio of training.
+    /// `read` maps the embeddings that each receiver knows, `[rows · N, N, H]`, and 1 where one
+    /// arrived, `[rows · N, 1, N]`, to the receivers' messages `[rows · N, D]` and to their rows of
+    /// the graph, `[rows · N, N]`.
+    pub(super) fn through(
+        &self,
+        encoder: &Encoder,
+        radio: &Radio,
+        read: impl Fn(&Tensor, &Tensor) -> (Tensor, Tensor),
+    ) -> Messages {
+        let (rows, agents) = self.size();
+        let (f, memory) = self.embed(encoder);
+        let Heard { embedding, arrived } = radio.hear(encoder, self, &f);
+        let arrived = arrived.reshape([rows * agents, 1, agents]);
+        let (made, graph) = read(&embedding.flatten(0, 1), &arrived);
+        let packing = self.packing();
+        Messages {
+            message: packing.pack(&made.view([rows, agents, -1])),
+            embedding: packing.pack(&f),
+            graph: graph.view([rows, agents, agents]),
+            packing,
+            memory,
+        }
+    }
+
     /// Returns `count` rows from row `first` on; rows must be single steps.
     fn part(&self, first: i64, count: i64) -> Self {
         debug_assert_eq!(self.length, 1);
@@ -136,6 +174,7 @@ impl Scene {
             },
             keep: cut(&self.keep),
             comm: cut(&self.comm),
+            replaced: self.replaced.as_ref().map(cut),
             noise: self.noise.as_ref().map(cut),
             ..*self
         }

@@ -5,6 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use toml::Table;
 
+use super::channel::Channel;
 pub use super::commformer::CommFormerSettings;
 pub use super::encoder::{EncoderKind, Network};
 pub use super::head::{Exploration, NoiseMode};
@@ -37,6 +38,11 @@ pub struct Settings {
     pub icp: IcpSettings,
     /// Settings of MADDPG.
     pub maddpg: MaddpgSettings,
+    /// The channel that messages pass through in training. In a run's settings it stands outside of
+    /// the learner's, because evaluations read it as well.
+    #[serde(skip)]
+    #[schemars(skip)]
+    pub channel: Channel,
 }
 
 impl Settings {
@@ -50,7 +56,8 @@ impl Settings {
     pub fn only(&self, groups: &[&str]) -> Self {
         let mut table = Table::try_from(self).expect("settings are plain data");
         table.retain(|group, _| !Self::OWN.contains(&group) || groups.contains(&group));
-        table.try_into().expect("groups that are missing have defaults")
+        let groups: Self = table.try_into().expect("groups that are missing have defaults");
+        Self { channel: self.channel, ..groups }
     }
 }
 

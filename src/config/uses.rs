@@ -26,9 +26,7 @@ impl Config {
         if let Err(unfit) = algo::check_channel(&self.algorithm, &self.channel) {
             return Some(unfit.to_string());
         }
-        let disturbed = !self.channel.can_train();
-        let why = "[channel] bits, delay, falsified and shuffled apply only to evaluation; in training, messages can be lost (loss), but arrive as they were sent: omit them";
-        disturbed.then(|| why.to_owned())
+        self.channel.cannot_train(self.learner.network.encoder).map(str::to_owned)
     }
 
     /// Returns why the policy of a run with these settings cannot be used with the settings

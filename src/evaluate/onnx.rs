@@ -271,6 +271,7 @@ mod tests {
                     comm: comm.shallow_clone(),
                     start: Tensor::zeros(&size(0)[..2], (tch::Kind::Float, Device::Cpu)),
                     memory: Tensor::zeros(size(0), (tch::Kind::Float, Device::Cpu)),
+                    replaced: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
                 };
                 let wanted = learner.act(&input, &ActMode::Deterministic).action;
                 let wanted = wanted.clamp(-1.0, 1.0);

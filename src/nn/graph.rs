@@ -71,26 +71,37 @@ impl CommGraph {
         sample_edges(&self.scores(f, packing), physical, noise)
     }
 
-    /// Returns one row of [`CommGraph::forward`], without noise and with all agents present: which
-    /// agents the agent in slot `place: [B]` listens to, `[B, 1, N]`, from features `f: [B, N, H]`,
-    /// where `physical: [B, 1, N]` allows an edge.
-    pub fn forward_one(&self, f: &Tensor, place: &Tensor, physical: &Tensor) -> Tensor {
+    /// Returns one row of [`CommGraph::forward`], with all agents present: which agents the agent in
+    /// slot `place: [B]` listens to, `[B, 1, N]`, from features `f: [B, N, H]`, where
+    /// `physical: [B, 1, N]` allows an edge. `noise` is `[B, N]`.
+    pub fn forward_one(
+        &self,
+        f: &Tensor,
+        place: &Tensor,
+        physical: &Tensor,
+        noise: Option<&Tensor>,
+    ) -> Tensor {
         let (rows, agents, _) = f.size3().expect("features are [B, N, H]");
         let halves = self.halves(&f.flatten(0, 1)).view([rows, agents, 2]);
         let (receivers, senders) = (halves.select(2, 0), halves.select(2, 1));
         let own = place.view([rows, 1]);
-        let heard =
-            self.leaky(&(receivers.gather(1, &own, false) + senders)).gt(0.0).to_kind(Kind::Float);
-        (heard * physical.squeeze_dim(1)).scatter_value(1, &own, 1.0).unsqueeze(1)
+        let scores = self.leaky(&(receivers.gather(1, &own, false) + senders));
+        let heard = possible_edges(&scores, &physical.squeeze_dim(1), noise);
+        heard.scatter_value(1, &own, 1.0).unsqueeze(1)
     }
 }
 
 /// Samples a graph from scores, as [`CommGraph::forward`] describes. All tensors are `[B, N, N]`.
 pub fn sample_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
+    with_self_loops(&possible_edges(scores, physical, noise))
+}
+
+/// Samples edges from scores of the same shape, without those from agents to themselves.
+fn possible_edges(scores: &Tensor, physical: &Tensor, noise: Option<&Tensor>) -> Tensor {
     let scores = noise.map_or_else(|| scores.shallow_clone(), |noise| scores + noise);
     let soft = scores.sigmoid();
     let learned = scores.gt(0.0).to_kind(Kind::Float) + (&soft - soft.detach());
-    with_self_loops(&(learned * physical.to_kind(Kind::Float)))
+    learned * physical.to_kind(Kind::Float)
 }
 
 /// Marks the `count` largest entries of each row of `scores: [.., N]` with 1 and the others with 0.

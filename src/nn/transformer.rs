@@ -271,8 +271,8 @@ mod tests {
                 (0..3).zip(places).map(|(row, place)| x.get(row).get(place)).collect();
             Tensor::stack(&rows, 0)
         };
-        let heard =
-            scheduler.forward_one(&f, &place, &of(&physical).unsqueeze(1).to_kind(Kind::Float));
+        let possible = of(&physical).unsqueeze(1).to_kind(Kind::Float);
+        let heard = scheduler.forward_one(&f, &place, &possible, None);
         assert!(heard.squeeze_dim(1).equal(&of(&graph)));
         assert!(heard.sum(Kind::Float).double_value(&[]) > 3.0, "somebody listens to another");
         let one = network.forward_one(&f, &place, &heard);

@@ -221,14 +221,13 @@ fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
         .replace("agents = 48 }", "init_from = { agents = 4 } }");
     let fixed = parse(&file).expect_err("must be refused").to_string();
     assert!(fixed.contains("each of 4 agents and cannot be used with 8"), "{fixed}");
-    let disturbed = parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { bits = 4 }"))
-        .expect_err("refused");
-    assert!(
-        disturbed
-            .to_string()
-            .contains("[channel] bits, delay, falsified and shuffled apply only to evaluation"),
-        "{disturbed}"
-    );
+    let disturbed =
+        parse(&FILE.replace("steps = 4096", "steps = 4096\nchannel = { shuffled = true }"))
+            .expect_err("refused");
+    assert!(disturbed.to_string().contains("for evaluation only: omit it"), "{disturbed}");
+    let delayed = "steps = 4096\nchannel = { delay = 2 }\nnetwork = { encoder = \"gru\" }";
+    let delayed = parse(&FILE.replace("steps = 4096", delayed)).expect_err("refused").to_string();
+    assert!(delayed.contains("set network.encoder to \"mlp\" or \"attention\""), "{delayed}");
 }
 
 #[test]

@@ -37,7 +37,7 @@ impl Trainer {
             timed(&mut self.timers.copy, || {
                 store_row(&self.env, &self.memory, &mut self.rollout, t);
             });
-            self.lose_messages(t, &seed);
+            self.disturb_messages(t, &seed);
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 if correlated && t > 0 {
@@ -90,7 +90,7 @@ impl Trainer {
         timed(&mut self.timers.copy, || {
             store_row(&self.env, &self.memory, &mut self.rollout, s.steps);
         });
-        self.lose_messages(s.steps, &seed);
+        self.disturb_messages(s.steps, &seed);
         if self.learner.graph_lasts() {
             // The last observation is valued over the same graph as the rollout.
             store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
@@ -99,13 +99,21 @@ impl Trainer {
     }
 
     /// Cuts the messages that the channel loses from row `t` of the rollout's physical masks, so that
-    /// policy, value function and update all see who heard whom.
-    fn lose_messages(&mut self, t: usize, seed: &Seed) {
+    /// policy, value function and update all see who heard whom, and draws which ones are false.
+    fn disturb_messages(&mut self, t: usize, seed: &Seed) {
         let channel = self.config.channel;
-        if channel.loss > 0.0 && self.learner.message_width() > 0 {
-            let row = self.rollout.at(t, self.rollout.sizes.agents);
-            let mut rng = seed.child("lost").index(t as u64).rng();
-            channel.cut(&mut self.rollout.comm[row], self.rollout.sizes.agents, &mut rng);
+        if self.learner.message_width() == 0 {
+            return;
+        }
+        let row = self.rollout.at(t, self.rollout.sizes.agents);
+        let rng = |what: &str| seed.child(what).index(t as u64).rng();
+        if channel.loss > 0.0 {
+            let comm = &mut self.rollout.comm[row.clone()];
+            channel.cut(comm, self.rollout.sizes.agents, &mut rng("lost"));
+        }
+        if channel.falsified > 0.0 {
+            self.rollout.replaced.resize(self.rollout.comm.len(), 0.0);
+            channel.falsify(&mut self.rollout.replaced[row], &mut rng("false"));
         }
     }
 }
@@ -231,6 +239,27 @@ mod tests {
         assert_eq!(heard("ex-iwol", 1.0), (own, 0.0));
         // The masks of methods without messages serve their training only.
         assert_eq!(heard("im-iwol", 1.0).1, heard("im-iwol", 0.0).1);
+    }
+
+    /// In a training with false messages, rollouts say which ones they are.
+    #[test]
+    fn false_messages_are_drawn_in_training() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
+        let replaced = |algorithm: &str| {
+            let flags = [("scenario", scenario), ("algorithm", algorithm)];
+            let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+            let sets = vec!["channel.falsified=0.3".to_owned(), "channel.delay=1".to_owned()];
+            let layers = Layers { sets, flags, ..Layers::default() };
+            let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
+            (config.train.envs, config.train.rollout_steps) = (2, 8);
+            let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            trainer.iterate().expect("an update");
+            let numbers = trainer.rollout.replaced;
+            numbers.iter().filter(|number| **number > 0.0).count() as f64 / numbers.len() as f64
+        };
+        assert!((replaced("magic") - 0.3).abs() < 0.05);
+        assert!(replaced("im-iwol").is_nan(), "nobody talks");
     }
 
     /// The end of a rollout is valued over the same graph as its steps.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use tch::Tensor;
 
 use super::{Error, RunDir, Timers, Trainer, schedule};
-use crate::algo;
+use crate::algo::{self, Settings};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::{self, Config};
 use crate::env::{Driver, Task, VecEnv, VecOptions};
@@ -35,13 +35,9 @@ impl Trainer {
         }
         let task = Arc::new(task);
         let device = config.device.find()?;
-        let mut learner = algo::build(
-            &config.algorithm,
-            &task.spec,
-            &config.learner,
-            seed.child("weights"),
-            device,
-        )?;
+        let settings = Settings { channel: config.channel, ..config.learner.clone() };
+        let mut learner =
+            algo::build(&config.algorithm, &task.spec, &settings, seed.child("weights"), device)?;
         let worlds = config.train.envs;
         let options = VecOptions {
             worlds,
@@ -58,11 +54,11 @@ impl Trainer {
             observation: task.spec.observation.len(),
             state: task.spec.state.len(),
             actions: task.spec.actions.len(),
-            memory: learner.memory(),
+            memory: learner.training_memory(),
             graphs: learner.graphs(),
         };
-        let shape = [worlds as i64, task.agents as i64, learner.memory() as i64];
-        let count = worlds * task.agents * learner.memory();
+        let shape = [worlds as i64, task.agents as i64, learner.training_memory() as i64];
+        let count = worlds * task.agents * learner.training_memory();
         let (env, memory, progress) = match checkpoint {
             None => {
                 let path = &config.init_from;

@@ -454,10 +454,18 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
                 let [x, y] = net.lanes[lane(id).unwrap()].shape[0];
                 (body.x - x).hypot(body.y - y) < LENGTH / 2.0 + 0.5
             };
+            // SUMO has whoever reaches the finish until the next exchange removes it.
+            let has_arrived = |id: &str| {
+                let agent = world.agents().nth(id.parse().unwrap());
+                agent.is_some_and(|agent| !agent.driving)
+            };
             let path = &task.map.routes[agent.route].path;
             let reason = match (ours, &theirs) {
                 (None, None) => "both see nobody",
                 _ if agree => "the same leader",
+                (_, Some((id, _))) if has_arrived(id) => {
+                    "SUMO's is an agent that has arrived in this step"
+                }
                 (_, Some((id, _))) if !lane(id).is_some_and(|lane| path.lanes.contains(&lane)) => {
                     "SUMO's is on a lane that is not the agent's: it crosses, merges or has turned off"
                 }
@@ -477,7 +485,9 @@ fn leaders(kind: &[&str], seed: u32, counts: &mut BTreeMap<String, u32>) {
                 let more = theirs.as_ref().map(|(id, _)| (lane(id), beeline(id)));
                 let lanes = &path.lanes;
                 let at = agent.position;
-                eprintln!("agent {i} at {at} m of {lanes:?}: {ours:?}, SUMO's {theirs:?} {more:?}");
+                eprintln!(
+                    "net {seed}: agent {i} at {at} m of {lanes:?}: {ours:?}, SUMO's {theirs:?} {more:?}"
+                );
             }
         }
     }

@@ -377,6 +377,7 @@ fn decisions_and_values() {
             comm: case.get("comm"),
             start: case.get("start").unsqueeze(-1).expand([3, 3], false),
             memory: if remembers { case.get("memory") } else { nothing() },
+            replaced: nothing(),
         };
         let present = case.get("present");
         let check = |key: &str, found: &Tensor| {

@@ -16,13 +16,19 @@ use crate::support::{INTERSECTION, folder, root};
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
     // CommFormer's graph learns in the fifth pass.
     let epochs = if algorithm == "commformer" { 5 } else { 2 };
+    // Messages that are under way outlast a rollout.
+    let channel = if encoder == "attention" {
+        "[channel]\nbits = 8\nloss = 0.1\ndelay = 2\nfalsified = 0.2\n"
+    } else {
+        ""
+    };
     let text = format!(
         "scenario.file = '{}'\nscenario.termination.horizon = 60\nalgorithm = {algorithm:?}\nagents = 4\nseed = 5\nsteps = {steps}\n\
          [train]\nenvs = 3\nrollout_steps = 40\nfewest_agents = 2\nrepeat_failed = 0.5\nvalidate_every = 200\nvalidation_episodes = 1\n\
          [simulation]\nbackend = 'traci'\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
-         [ppo]\nminibatch = 128\nepochs = {epochs}\n",
+         [ppo]\nminibatch = 128\nepochs = {epochs}\n{channel}",
         root().join(INTERSECTION).display()
     );
     let document = Document { name: "test".to_owned(), text, generated: false };
@@ -71,14 +77,15 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     all
 }
 
-/// Returns all methods with the encoder `mlp`, and some with `gru` or `attention`.
+/// Returns all methods with the encoder `mlp`, and some with `gru`, or with `attention` and a disturbed
+/// channel.
 fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
     let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
     algo::NAMES
         .into_iter()
         .map(|name| (name, "mlp"))
         .chain(recurrent)
-        .chain([("im-iwol", "attention")])
+        .chain(["im-iwol", "ex-iwol", "magic"].map(|name| (name, "attention")))
 }
 
 #[test]

@@ -151,11 +151,12 @@ impl Critic {
                     keep: view.comm.diagonal(0, 1, 2).ones_like(),
                     memory: nothing,
                     comm: view.comm.shallow_clone(),
+                    replaced: None,
                     noise,
                     length: 1,
                     pack: true,
                 };
-                let heard = trunk.forward(&scene);
+                let heard = trunk.forward(&scene, None);
                 let message = heard.packing.unpack(&heard.message);
                 (
                     Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1),

@@ -4,7 +4,7 @@
 use iwol_sumo::algo::{self, ActMode, Channel, ChannelNoise, CommunicationScope, Observation};
 use tch::{Device, Kind, Tensor};
 
-use super::{act, build, complete, each, loud, noise, observation, pairs, small, spec};
+use super::{act, build, complete, each, loud, noise, nothing, observation, pairs, small, spec};
 
 /// An observation changes at once only the actions that it may change: the agent's own, and those
 /// of agents within range or of all present agents, depending on the method.
@@ -168,6 +168,7 @@ fn an_empty_slot_changes_nothing() {
             comm: without(&input.comm).index_select(2, &rest),
             start: without(&input.start),
             memory: without(&input.memory),
+            replaced: nothing(),
         };
         let gap = without(&five.act(&input, &ActMode::Deterministic).action);
         let none = four.act(&small, &ActMode::Deterministic).action;

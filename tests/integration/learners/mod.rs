@@ -2,6 +2,7 @@
 
 mod communication;
 mod games;
+mod radio;
 mod states;
 mod updates;
 
@@ -83,6 +84,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
         comm,
         start: Tensor::zeros([e, n], (Kind::Float, Device::Cpu)),
         memory,
+        replaced: nothing(),
     }
 }
 
@@ -142,7 +144,7 @@ fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bo
         observation: 4,
         state: 3,
         actions: 1,
-        memory: learner.memory(),
+        memory: learner.training_memory(),
         graphs: learner.graphs(),
     };
     let mut rollout = Rollout::new(sizes);

@@ -149,7 +149,7 @@ fn an_update_sees_the_policy_that_acted() {
 
 /// Acts on a rollout's observations with its noise, and stores actions, log-probabilities and
 /// memories.
-fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
+pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let s = rollout.sizes;
     let (e, n) = (s.envs as i64, s.agents as i64);
     let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
@@ -157,12 +157,7 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let part = |array: &[f32], width: usize| {
             Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
         };
-        let input = Observation {
-            observation: part(&rollout.observation, s.observation),
-            comm: part(&rollout.comm, s.agents),
-            start: part(&rollout.start, 1).squeeze_dim(-1),
-            memory: memory.shallow_clone(),
-        };
+        let input = Observation::at(rollout, t, &memory);
         let graph = if s.graphs > 0 {
             part(&rollout.graph_noise, s.agents * s.graphs)
         } else {
@@ -184,7 +179,12 @@ fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
 }
 
 /// Checks that an update without a learning rate finds the policy unchanged.
-fn nothing_moved(name: &str, encoder: EncoderKind, learner: &mut dyn Algorithm, rollout: &Rollout) {
+pub(super) fn nothing_moved(
+    name: &str,
+    encoder: EncoderKind,
+    learner: &mut dyn Algorithm,
+    rollout: &Rollout,
+) {
     let losses = learner.update(rollout, &STILL, Seed::new(4)).expect("finite");
     let kl = reported(&losses, "ppo/approx_kl");
     assert!(kl.abs() < 1e-5, "{name} {encoder:?}: {kl}");

@@ -1,0 +1,169 @@
+//! The channel in training: what rounding, delay and false messages do to the embeddings that
+//! agents send, with gradients to their senders.
+//!
+//! A rollout keeps what the update needs to hear the same again: per pair of agents the number of
+//! the false message that replaced the true one, and in the agents' memory the observations of the
+//! steps for which messages are under way. The update embeds such an old observation with the
+//! present weights. Lost messages are cut from the rollout's physical masks, for which no method
+//! needs this file.
+
+use rand::RngExt as _;
+use tch::{Device, Kind, Tensor, no_grad};
+
+use super::channel::{Channel, Heard};
+use super::decision::Observation;
+use super::encoder::Encoder;
+use super::scene::Scene;
+use super::settings::Settings;
+use crate::rng::{self, Rng, Seed};
+
+/// Number of different false messages.
+const FALSE_MESSAGES: usize = 4096;
+
+/// A channel that changes or delays the messages of a training.
+#[derive(Debug)]
+pub(super) struct Radio {
+    channel: Channel,
+    /// Standard normal contents of the false messages, `[FALSE_MESSAGES, H]`; without rows where no
+    /// message is falsified.
+    contents: Tensor,
+    /// Number O of features of an observation.
+    observation: i64,
+}
+
+impl Radio {
+    /// Returns the radio of a training whose messages have `width` numbers and whose observations
+    /// have `observation` numbers; `None` where messages are at most lost.
+    pub(super) fn new(
+        settings: &Settings,
+        observation: usize,
+        width: i64,
+        device: Device,
+    ) -> Option<Self> {
+        let channel = settings.channel;
+        let rows = if channel.falsified > 0.0 { FALSE_MESSAGES } else { 0 };
+        let mut contents = vec![0.0; rows * width as usize];
+        rng::fill_normal(&mut Seed::new(0).child("false messages").rng(), &mut contents);
+        let contents = Tensor::from_slice(&contents).view([rows as i64, width]).to_device(device);
+        let observation = observation as i64;
+        (!channel.only_loses()).then_some(Self { channel, contents, observation })
+    }
+
+    /// Returns how many numbers an agent remembers for the messages that are under way: its steps
+    /// since its trajectory began, and its observations, the oldest first.
+    pub(super) fn memory(&self) -> i64 {
+        self.channel.memory(self.observation as usize) as i64
+    }
+
+    /// Returns the memory after a decision, `[E, N, M]`.
+    pub(super) fn after(&self, input: &Observation) -> Tensor {
+        if self.channel.delay == 0 {
+            return input.memory.shallow_clone();
+        }
+        let past = &input.memory * input.keep().unsqueeze(-1);
+        let queue = past.narrow(2, 1, self.memory() - 1);
+        let queue = Tensor::cat(&[&queue, &input.observation], -1);
+        let rest = queue.narrow(2, self.observation, self.memory() - 1);
+        Tensor::cat(&[&(past.narrow(2, 0, 1) + 1.0), &rest], -1)
+    }
+
+    /// Returns what each agent of a scene hears of every agent, whose present embeddings are
+    /// `f [rows, N, H]`.
+    pub(super) fn hear(&self, encoder: &Encoder, scene: &Scene, f: &Tensor) -> Heard {
+        let (sent, silent) = self.sent(encoder, scene, f);
+        // The gradient of rounding is that of its argument.
+        let sent = no_grad(|| self.channel.rounded(&sent)) + (&sent - sent.detach());
+        let replaced = scene.replaced.as_ref().map(|number| {
+            let (rows, agents, _) = number.size3().expect("numbers of messages are [rows, N, N]");
+            let index = (number - 1.0).clamp_min(0.0).to_kind(Kind::Int64).reshape([-1]);
+            let content = self.contents.index_select(0, &index);
+            (number.gt(0.0), content.view([rows, agents, agents, -1]))
+        });
+        Heard::of(f, &sent, &silent, &scene.comm.ones_like(), replaced.as_ref())
+    }
+
+    /// Returns the embeddings that arrive, `[rows, N, H]`, and whether those of a sender do not
+    /// arrive yet, `[rows, N]`.
+    fn sent(&self, encoder: &Encoder, scene: &Scene, f: &Tensor) -> (Tensor, Tensor) {
+        if self.channel.delay == 0 {
+            return (f.shallow_clone(), scene.keep.zeros_like().to_kind(Kind::Bool));
+        }
+        let past = &scene.memory * scene.keep.unsqueeze(-1);
+        let silent = past.select(2, 0).lt(f64::from(self.channel.delay));
+        let oldest = past.narrow(2, 1, self.observation);
+        let (embedding, _) = encoder.forward(&oldest, &scene.memory, &scene.keep);
+        (embedding, silent)
+    }
+}
+
+impl Channel {
+    /// Draws which messages are replaced by false ones, for training: the number of the false
+    /// message, counted from 1, or 0, in `replaced [E, N, N]`.
+    pub(crate) fn falsify(&self, replaced: &mut [f32], rng: &mut Rng) {
+        for number in replaced {
+            let is_false = f64::from(rng.random::<f32>()) < self.falsified;
+            let which = rng.random_range(0..FALSE_MESSAGES) + 1;
+            *number = if is_false { which as f32 } else { 0.0 };
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::env::Features;
+    use crate::nn::Params;
+
+    const N: i64 = 3;
+    const H: i64 = 4;
+    const CPU: (Kind, Device) = (Kind::Float, Device::Cpu);
+
+    /// Rounding has the gradient of its argument, and nothing flows back over false messages.
+    #[test]
+    fn gradients_reach_senders_of_true_messages_only() {
+        let channel = Channel { bits: 6, falsified: 0.5, ..Channel::default() };
+        let mut settings = Settings { channel, ..Settings::default() };
+        settings.network.hidden = H;
+        let radio = Radio::new(&settings, 0, H, Device::Cpu).expect("it changes messages");
+        let (mut params, features) = (Params::new(Device::Cpu), Features::default());
+        let encoder =
+            Encoder::new(params.root(&mut Seed::new(1).rng()), &features, &settings.network);
+        let replaced = Tensor::zeros([1, N, N], CPU);
+        // What the first agent hears from the third is false.
+        let _ = replaced.get(0).get(0).get(2).fill_(7.0);
+        let scene = Scene {
+            observation: Tensor::zeros([1, N, 0], CPU),
+            memory: Tensor::zeros([1, N, 0], CPU),
+            keep: Tensor::ones([1, N], CPU),
+            comm: Tensor::ones([1, N, N], CPU),
+            replaced: Some(replaced),
+            noise: None,
+            length: 1,
+            pack: false,
+        };
+        let f = (Tensor::arange(N * H, CPU) * 0.3).view([1, N, H]).set_requires_grad(true);
+        let heard = radio.hear(&encoder, &scene, &f).embedding;
+        let by = |receiver: i64, sender: i64| heard.get(0).get(receiver).get(sender);
+        assert!(by(0, 0).equal(&f.get(0).get(0)), "one's own embedding is intact");
+        assert!(by(1, 2).equal(&channel.rounded(&f).get(0).get(2)), "others' are rounded");
+        assert!(!by(0, 2).equal(&by(1, 2)), "this one is false");
+        let gradient = |receiver: i64| {
+            let sum = heard.get(0).get(receiver).sum(Kind::Float);
+            let gradient = Tensor::run_backward(&[sum], &[&f], true, false).remove(0);
+            Vec::<f32>::try_from(gradient.get(0).sum_dim_intlist(1, false, Kind::Float)).unwrap()
+        };
+        let width = H as f32;
+        assert_eq!(gradient(0), [width, width, 0.0]);
+        assert_eq!(gradient(1), [width, width, width]);
+    }
+
+    #[test]
+    fn as_many_messages_are_false_as_should_be() {
+        let channel = Channel { falsified: 0.3, ..Channel::default() };
+        let mut replaced = vec![0.0; 10_000];
+        channel.falsify(&mut replaced, &mut Seed::new(4).rng());
+        let count = replaced.iter().filter(|&&number| number > 0.0).count();
+        assert!((count as f64 / 10_000.0 - 0.3).abs() < 0.02, "{count}");
+        assert!(replaced.iter().all(|&number| number <= FALSE_MESSAGES as f32));
+    }
+}
