@@ -89,6 +89,19 @@ pub fn curve(
     lines.iter().filter_map(point).collect()
 }
 
+/// Returns the mean height of a curve from 0 to `end`, the area under it divided by `end`. The first
+/// value also holds before it, and a run that ended early keeps its last value. `None` for an empty
+/// curve.
+pub fn mean_height(curve: &[(f64, f64)], end: f64) -> Option<f64> {
+    let (first, last) = (curve.first()?, curve.last()?);
+    let end = end.max(last.0);
+    let between = curve.windows(2).map(|pair| {
+        let [(from, low), (to, high)] = [pair[0], pair[1]];
+        (to - from) * f64::midpoint(low, high)
+    });
+    Some((first.0 * first.1 + between.sum::<f64>() + (end - last.0) * last.1) / end)
+}
+
 /// Returns the mean curve of several runs of a metric with its 95 % interval, which contains
 /// only possible numbers; of a single run, the curve itself. A run that ended before the others keeps its
 /// last value.
@@ -110,4 +123,18 @@ pub fn mean_curve(label: String, runs: &[Curve], along: Along, metric: &Metric) 
     let bounds = curve.iter().map(|(x, e)| (*x, metric.possible(*e)));
     let band = bounds.map(|(x, e)| (x, e.low, e.high)).collect();
     Series::curve(label, points, Some(band))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mean_height_is_the_area_under_the_curve() {
+        let curve = [(10.0, 20.0), (20.0, 40.0), (40.0, 100.0)];
+        // 10 · 20 + 10 · 30 + 20 · 70 + 10 · 100, divided by 50.
+        assert_eq!(mean_height(&curve, 50.0), Some(58.0));
+        assert_eq!(mean_height(&curve, 30.0), mean_height(&curve, 40.0));
+        assert_eq!(mean_height(&[], 5.0), None);
+    }
 }

@@ -2,9 +2,10 @@
 
 use super::Error;
 use super::document::Document;
+use crate::curves::{self, Along};
 use crate::metrics::Metric;
 use crate::stats::contrast::{Contrast as Found, contrast, holm};
-use crate::sweep::{Contrast, Sweep};
+use crate::sweep::{Cell, Compared, Contrast, Evaluate, Sweep};
 
 /// Adds a table with a row per comparison. Comparisons whose runs are not all finished are made with
 /// those that are, and say so.
@@ -23,7 +24,7 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
          about five seeds the intervals are too narrow and the p-values too small.",
     );
     let table = rows.iter().map(|row| {
-        let mut cells = vec![row.contrast.title.clone(), row.metric.heading(), row.runs()];
+        let mut cells = vec![row.contrast.title.clone(), row.heading(), row.runs()];
         match row.found {
             Some(found) => {
                 cells.push(found.difference.to_string());
@@ -55,6 +56,15 @@ struct Row<'a> {
 }
 
 impl Row<'_> {
+    /// Returns what is compared.
+    fn heading(&self) -> String {
+        let heading = self.metric.heading();
+        match self.contrast.of {
+            Compared::Evaluation => heading,
+            Compared::Training => format!("{heading} over training"),
+        }
+    }
+
     /// Returns the numbers of runs of the groups.
     fn runs(&self) -> String {
         let show = |&(finished, all): &(usize, usize)| {
@@ -66,19 +76,44 @@ impl Row<'_> {
 
 fn row<'a>(sweep: &'a Sweep, named: &'a Contrast) -> Result<Row<'a>, Error> {
     let evaluate = named.evaluation(&sweep.evaluations).expect("checked with the file");
-    let combination = named.combination(evaluate).expect("checked with the file");
     let metric = named.metric().expect("checked with the file");
     let (mut groups, mut counts) = (Vec::new(), Vec::new());
     for (weight, when) in named.groups() {
-        let (mut values, mut all) = (Vec::new(), 0);
-        for cell in named.cells(&sweep.cells, when, Some(evaluate)) {
-            all += 1;
-            let found = cell.evaluation(evaluate, &combination)?;
-            let mean = found.and_then(|found| Some(metric.estimate(&found.metrics)?.mean));
-            values.extend(mean.filter(|mean| !mean.is_nan()));
-        }
-        counts.push((values.len(), all));
+        let cells: Vec<&Cell> = named.cells(&sweep.cells, when, Some(evaluate)).collect();
+        let values = match named.of {
+            Compared::Evaluation => evaluated(&cells, named, evaluate, metric)?,
+            Compared::Training => areas(&cells, metric)?,
+        };
+        counts.push((values.len(), cells.len()));
         groups.push((weight, values));
     }
     Ok(Row { contrast: named, metric, counts, found: contrast(&groups) })
+}
+
+/// Returns a metric of the cells that have been evaluated.
+fn evaluated(
+    cells: &[&Cell],
+    named: &Contrast,
+    evaluate: &Evaluate,
+    metric: &Metric,
+) -> Result<Vec<f64>, Error> {
+    let combination = named.combination(evaluate).expect("checked with the file");
+    let mut values = Vec::new();
+    for cell in cells {
+        let found = cell.evaluation(evaluate, &combination)?;
+        let mean = found.and_then(|found| Some(metric.estimate(&found.metrics)?.mean));
+        values.extend(mean.filter(|mean| !mean.is_nan()));
+    }
+    Ok(values)
+}
+
+/// Returns the areas under the curves of the cells that have been trained.
+fn areas(cells: &[&Cell], metric: &Metric) -> Result<Vec<f64>, Error> {
+    let mut values = Vec::new();
+    for cell in cells.iter().filter(|cell| cell.trained().is_some()) {
+        let lines = curves::read(&cell.run().metrics())?;
+        let curve = curves::curve(&lines, Along::Steps, metric, curves::Line::validation);
+        values.extend(curves::mean_height(&curve, cell.config.steps as f64));
+    }
+    Ok(values)
 }

@@ -4,7 +4,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 use super::{Cell, Evaluate, holds};
-use crate::metrics::{self, Metric};
+use crate::metrics::{self, Metric, Shown};
 
 /// A comparison of trained runs: how much better those of `plus` are than those of `minus`. With
 /// two conditions each, how much the first difference exceeds the second. The report corrects the
@@ -20,12 +20,27 @@ pub struct Contrast {
     pub plus: Vec<Table>,
     /// Conditions on the cells whose interquartile means count with weight -1.
     pub minus: Vec<Table>,
+    /// What is compared: the metric of the trained policies, or its mean over the training.
+    #[serde(default)]
+    pub of: Compared,
     /// Name of the evaluation that is compared [default: the first].
     #[serde(default)]
     pub evaluate: Option<String>,
     /// Values of that evaluation's grid.
     #[serde(default)]
     pub at: Table,
+}
+
+/// What a comparison is about.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Compared {
+    /// An evaluation of the trained policies.
+    #[default]
+    Evaluation,
+    /// The area under the curve of the validations in training, as a mean over environment steps:
+    /// who learns sooner has more.
+    Training,
 }
 
 impl Contrast {
@@ -65,13 +80,27 @@ impl Contrast {
             let known: Vec<&str> = metrics::all().map(|metric| metric.id).collect();
             return Err(format!("{at}: metric must be one of {}", known.join(", ")));
         }
+        if self.of == Compared::Training && (self.evaluate.is_some() || !self.at.is_empty()) {
+            return Err(format!(
+                "{at}: with `of = \"training\"`, the curves of validations are compared: omit `evaluate` and `at`"
+            ));
+        }
+        if self.of == Compared::Training
+            && self.metric().is_none_or(|m| m.shown != Shown::Everywhere)
+        {
+            let known: Vec<&str> = metrics::shown(Shown::Everywhere).map(|m| m.id).collect();
+            return Err(format!(
+                "{at}: the metric of validations must be one of {}",
+                known.join(", ")
+            ));
+        }
         if self.plus.is_empty() || self.plus.len() != self.minus.len() {
             return Err(format!("{at}: give as many conditions in `minus` as in `plus`"));
         }
         let Some(evaluate) = self.evaluation(evaluations) else {
             return Err(format!("{at}: evaluate must be the name of an [[evaluate]]"));
         };
-        if self.combination(evaluate).is_none() {
+        if self.of == Compared::Evaluation && self.combination(evaluate).is_none() {
             return Err(format!(
                 "{at}: at must select one combination of the grid of [[evaluate]] `{}`",
                 evaluate.name

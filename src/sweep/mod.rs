@@ -44,7 +44,7 @@ use serde::Deserialize;
 use toml::{Table, Value};
 
 pub use cell::{Cell, Job, State};
-pub use contrast::Contrast;
+pub use contrast::{Compared, Contrast};
 pub use error::Error;
 
 use file::File;

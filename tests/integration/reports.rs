@@ -38,12 +38,11 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
         let write =
             |name: &str, text: &str| std::fs::write(cell.folder.join(name), text).expect("written");
         write("trained.json", r#"{"steps": 4096, "seconds": 60.0}"#);
-        write(
-            "metrics.jsonl",
-            "{\"step\": 64, \"validation/success\": 0.5, \"time/total_s\": 1.0}\n",
-        );
-        write("config.toml", &cell.config.to_toml());
         let rate = success(cell);
+        let validation =
+            json!({ "step": 64, "validation/success": rate / 2.0, "time/total_s": 1.0 });
+        write("metrics.jsonl", &format!("{validation}\n"));
+        write("config.toml", &cell.config.to_toml());
         let crashes = ((1.0 - rate) * 1000.0).round() as u64;
         let found = json!({
             "episodes": 100, "checkpoint": "last.safetensors", "seed": 0, "run": run(cell),
@@ -251,6 +250,12 @@ title = "a single seed"
 metric = "success"
 plus = [{{ algorithm = "magic", agents = 4 }}]
 minus = [{{ algorithm = "mappo", agents = 4 }}]
+[[contrast]]
+title = "who learns sooner"
+metric = "success"
+of = "training"
+plus = [{{ algorithm = "im-iwol", agents = 4 }}]
+minus = [{{ algorithm = "mappo", agents = 4 }}]
 "#
     );
     let sweep = Sweep::parse(&text, "s.toml", "s", folder.path()).expect("a sweep");
@@ -264,11 +269,15 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     let (markdown, _) = report(&sweep, folder.path());
     let tables = tables(&markdown);
     let table = tables.iter().find(|table| table[0][0] == "comparison").expect("a table");
-    let [_, first, second, third] = &table[..] else { panic!("{table:?}") };
+    let [_, first, second, third, sooner] = &table[..] else { panic!("{table:?}") };
     assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "3, 3"], "{first:?}");
     assert!(first[3].starts_with("30.0 [28") && first[4] == "< 0.001", "{first:?}");
     assert!(second[3].starts_with("20.0 [1") && second[2] == "3, 3, 3, 3", "{second:?}");
     assert_eq!(third[2..], ["1, 3", "–", "–", "–"]);
+    assert!(
+        sooner[1] == "success % over training" && sooner[3].starts_with("15.0 [14"),
+        "{sooner:?}"
+    );
 
     let wrong = |from: &str, to: &str| {
         let text = text.replace(from, to);
@@ -276,6 +285,10 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     };
     let metric = wrong("metric = \"success\"", "metric = \"sucess\"");
     assert!(metric.contains("`Im-IWoL against MAPPO among 4`: metric must be one of success"));
+    let unseen = wrong("metric = \"success\"\nof", "metric = \"others.pet\"\nof");
+    assert!(unseen.contains("the metric of validations must be one of success"), "{unseen}");
+    let named = wrong("of = \"training\"", "of = \"training\"\nevaluate = \"last\"");
+    assert!(named.contains("omit `evaluate` and `at`"), "{named}");
     let several = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magic\"");
     assert!(several.contains("give more conditions"), "{several}");
     let none = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magik\"");
