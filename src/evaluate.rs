@@ -1,5 +1,5 @@
 //! Headless evaluation of learned policies, which act deterministically, and of policies without
-//! training, on seeds that training does not use.
+//! training, in any environment, on seeds that training does not use.
 //!
 //! Episode `i` depends only on `(seed, i)`, so results do not depend on the number of worlds.
 
@@ -12,14 +12,12 @@ mod learned;
 mod onnx;
 
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::env::{self, Driver, EpisodeRecord, Pursuit, Task, VecEnv, VecOptions};
+use crate::env::{self, Environment, EpisodeRecord, Stream};
 use crate::metrics::WINDOW;
 use crate::replay::Recorder;
 use crate::rng::Seed;
-use crate::sumo::Hosting;
 
 pub use crate::metrics::{DETERMINED, Knowledge, Metrics, Probe};
 use driver::PolicyDriver;
@@ -32,55 +30,23 @@ pub use onnx::{OnnxError, OnnxPolicy};
 /// Number of worlds that run at a time. A learned policy always gets this number of rows, whatever
 /// the machine and the number of episodes, so that episodes are reproducible to the last bit.
 const WORLDS: usize = 16;
-/// How often an episode in which SUMO died is played again.
+/// How often an episode in which the simulation broke off is played again.
 const RETRIES: u32 = 2;
 
-/// A policy that controls the vehicles.
+/// A policy that controls the agents.
 pub enum Policy<'a> {
-    /// The same throttle in every step, without steering.
-    Throttle(f32),
-    /// Pure pursuit of the route.
-    Pursuit(Pursuit),
+    /// The same action `[A]` of every agent in every step.
+    Constant(Vec<f32>),
     /// Standard normal actions (clipped by the environment), as an untrained policy has.
     Gaussian,
     /// Actions uniform in −1..1.
     Uniform,
-    /// SUMO's own car-following and right-of-way model.
-    Sumo,
+    /// The actions of the environment's own rule ([`follow_rule`](crate::env::Worlds::follow_rule)).
+    Rule,
+    /// None: the environment moves its agents by itself.
+    Nothing,
     /// A trained policy.
     Learned(&'a dyn Controller),
-}
-
-/// Names of the policies without training, as on the command line.
-pub const POLICIES: [&str; 6] =
-    ["throttle:<a>", "pursuit:<speed>", "fcfs:<speed>", "gaussian", "uniform", "sumo"];
-
-impl Policy<'static> {
-    /// Returns a policy without training by its name on the command line; `None` for an unknown
-    /// name.
-    pub fn by_name(name: &str) -> Option<Self> {
-        match name {
-            "gaussian" => Some(Self::Gaussian),
-            "uniform" => Some(Self::Uniform),
-            "sumo" => Some(Self::Sumo),
-            _ => {
-                let (kind, value) = name.split_once(':')?;
-                let value: f64 = value.parse().ok()?;
-                let pursuit = |gives_way| {
-                    (value > 0.0 && value.is_finite())
-                        .then_some(Pursuit { speed: value, gives_way })
-                };
-                match kind {
-                    "pursuit" => pursuit(false).map(Self::Pursuit),
-                    "fcfs" => pursuit(true).map(Self::Pursuit),
-                    "throttle" => {
-                        (-1.0..=1.0).contains(&value).then_some(Self::Throttle(value as f32))
-                    }
-                    _ => None,
-                }
-            }
-        }
-    }
 }
 
 /// The result of an evaluation.
@@ -93,7 +59,7 @@ pub struct Evaluation {
     pub windows: Vec<f64>,
     /// How well the policy's latent predicts its targets; empty for policies without a latent.
     pub reconstruction: Vec<Knowledge>,
-    /// Bits that a vehicle sent per decision, of each episode; empty for policies without messages.
+    /// Bits that an agent sent per decision, of each episode; empty for policies without messages.
     pub message_bits: Vec<f64>,
 }
 
@@ -112,25 +78,27 @@ pub struct EvaluationObserver<'a> {
     pub report: &'a mut dyn FnMut(u64),
     /// Recorder of an episode, if one is to be recorded.
     pub recorder: Option<&'a mut Recorder>,
+    /// Whether other worlds of the environment go on meanwhile, such as those of a training.
+    pub beside: bool,
 }
 
 /// Plays `episodes` episodes of the stream `seed`, and as many more as the first complete window
 /// needs.
 ///
 /// # Errors
-/// [`env::Error`] if SUMO cannot be run, or dies in the same episode three times, or if the policy
-/// cannot choose an action.
+/// [`env::Error`] if the environment cannot be run, or breaks off in the same episode three times,
+/// or if the policy cannot choose an action.
 pub fn evaluate(
-    task: &Arc<Task>,
+    environment: &dyn Environment,
     policy: &Policy<'_>,
     episodes: u64,
     seed: Seed,
-    hosting: &Hosting,
     observer: EvaluationObserver<'_>,
 ) -> Result<Evaluation, env::Error> {
-    let EvaluationObserver { stop, report, recorder } = observer;
-    let mut driver = PolicyDriver::new(policy, task, seed.child("actions"), recorder);
-    let stage = Stage { task, seed, hosting, stop };
+    let EvaluationObserver { stop, report, recorder, beside } = observer;
+    let spec = environment.spec();
+    let mut driver = PolicyDriver::new(policy, spec, seed.child("actions"), recorder);
+    let stage = Stage { environment, seed, beside, stop };
     let mut records = stage.play(0..episodes, RETRIES, &mut driver, report)?;
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
@@ -177,15 +145,15 @@ fn windows(records: &[&EpisodeRecord]) -> Vec<f64> {
 
 /// Parameters that all episodes of an evaluation share.
 struct Stage<'a> {
-    task: &'a Arc<Task>,
+    environment: &'a dyn Environment,
     seed: Seed,
-    hosting: &'a Hosting,
+    beside: bool,
     stop: &'a AtomicBool,
 }
 
 impl Stage<'_> {
-    /// Plays a range of episodes and returns their records in order. Episodes in which SUMO died
-    /// are played again.
+    /// Plays a range of episodes and returns their records in order. Episodes in which the
+    /// simulation broke off are played again.
     fn play(
         &self,
         episodes: Range<u64>,
@@ -194,38 +162,32 @@ impl Stage<'_> {
         report: &mut dyn FnMut(u64),
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
-        let driver = match policy.policy {
-            Policy::Sumo => Driver::Sumo,
-            Policy::Pursuit(pursuit) if pursuit.gives_way => Driver::Rules,
-            _ => Driver::Agents,
-        };
-        let options = VecOptions {
+        let stream = Stream {
             replay: 0.0,
             worlds,
-            driver,
             seed: self.seed.child("episodes"),
             episodes: episodes.clone(),
-            hosting: *self.hosting,
+            beside: self.beside,
         };
         let mut records = Vec::new();
         if worlds == 0 {
             return Ok(records);
         }
-        let mut env = VecEnv::new(self.task, &options)?;
+        let mut worlds = self.environment.start(&stream)?;
         policy.begin();
-        while !env.is_finished() && !self.stop.load(Ordering::Relaxed) {
-            policy.act(&env)?;
-            env.step(&policy.actions)?;
+        while !worlds.is_finished() && !self.stop.load(Ordering::Relaxed) {
+            policy.act(&*worlds)?;
+            worlds.step(&policy.actions)?;
             if let Some(recorder) = &mut policy.recorder {
-                env.worlds().for_each(|world| recorder.reward(world));
+                recorder.reward(&*worlds);
             }
-            let finished = env.take_finished();
+            let finished = worlds.take_finished();
             if !finished.is_empty() {
                 records.extend(finished);
                 report(records.iter().filter(|r: &&EpisodeRecord| !r.interrupted).count() as u64);
             }
         }
-        drop(env);
+        drop(worlds);
         let again: Vec<u64> = records.iter().filter(|r| r.interrupted).map(|r| r.episode).collect();
         records.retain(|record| !record.interrupted);
         for episode in again {
@@ -291,13 +253,5 @@ mod tests {
             (&0.into(), &Value::Null, &Value::Null)
         );
         assert!((none["low"].as_f64().expect("a lower bound") - 0.5 / 3.688_879).abs() < 1e-6);
-    }
-
-    #[test]
-    fn policies_by_name() {
-        assert!(matches!(Policy::by_name("throttle:-0.5"), Some(Policy::Throttle(a)) if a == -0.5));
-        for bad in ["throttle:2", "throttle:nan", "throttle", "Gaussian", ""] {
-            assert!(Policy::by_name(bad).is_none(), "{bad}");
-        }
     }
 }

@@ -30,6 +30,7 @@ pub mod algo;
 pub mod checkpoint;
 pub mod config;
 pub mod curves;
+pub mod driving;
 pub mod env;
 pub mod evaluate;
 mod fnv;

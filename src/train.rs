@@ -15,7 +15,6 @@ mod run_dir;
 mod schedule;
 mod setup;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -25,11 +24,10 @@ use tch::Tensor;
 use crate::algo::{Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
-use crate::env::{EpisodeRecord, Task, VecEnv, WorldState};
+use crate::env::{Environment, EpisodeRecord, WorldState, Worlds};
 use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
-use crate::scenario::Scenario;
 
 pub use error::Error;
 use files::Files;
@@ -83,9 +81,8 @@ struct Mark {
 /// A learner and the worlds in which it trains.
 pub struct Trainer {
     config: Config,
-    scenario: Scenario,
-    task: Arc<Task>,
-    env: VecEnv,
+    environment: Box<dyn Environment>,
+    worlds: Box<dyn Worlds>,
     learner: Box<dyn Algorithm>,
     rollout: Rollout,
     /// Memory of the policy before the next decision, `[E, N, M]`.
@@ -98,12 +95,12 @@ pub struct Trainer {
 }
 
 impl Trainer {
-    /// Starts a run.
+    /// Starts a run in an environment.
     ///
     /// # Errors
-    /// If the task cannot be set up, or if the device or the initial weights cannot be used.
-    pub fn new(config: Config, scenario: Scenario) -> Result<Self, Error> {
-        Self::build(config, scenario, None)
+    /// If worlds cannot be started, or if the device or the initial weights cannot be used.
+    pub fn new(config: Config, environment: Box<dyn Environment>) -> Result<Self, Error> {
+        Self::build(config, environment, None)
     }
 
     /// Continues a run from a checkpoint. The configuration may ask for more steps than that of the
@@ -111,13 +108,13 @@ impl Trainer {
     /// difference is the caller's responsibility.
     ///
     /// # Errors
-    /// If the checkpoint does not fit or the task cannot be set up.
+    /// If the checkpoint does not fit or worlds cannot be started.
     pub fn resume(
         config: Config,
-        scenario: Scenario,
+        environment: Box<dyn Environment>,
         checkpoint: &Checkpoint,
     ) -> Result<Self, Error> {
-        Self::build(config, scenario, Some(checkpoint))
+        Self::build(config, environment, Some(checkpoint))
     }
 
     /// Returns the learner.
@@ -137,15 +134,10 @@ impl Trainer {
             && (progress.step >= self.config.steps || schedule::solved(&self.config, progress))
     }
 
-    /// Returns the scenario, with the run's settings applied.
-    pub fn scenario(&self) -> &Scenario {
-        &self.scenario
-    }
-
     /// Runs one iteration: a rollout and an update.
     ///
     /// # Errors
-    /// If SUMO fails twice in a row or training diverges.
+    /// If worlds cannot go on or training diverges.
     pub fn iterate(&mut self) -> Result<Losses, Error> {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
@@ -182,18 +174,16 @@ impl Trainer {
     /// the same in every call.
     ///
     /// # Errors
-    /// If SUMO fails twice in a row.
+    /// If worlds cannot go on.
     pub fn validate(&mut self, stop: &AtomicBool) -> Result<Evaluation, Error> {
         self.learner.swap_average();
         let policy = LearnedPolicy { learner: &*self.learner, channel: self.config.channel };
         let evaluation = evaluate(
-            &self.task,
+            &*self.environment,
             &Policy::Learned(&policy),
             self.config.train.validation_episodes,
             self.seed.child("validation"),
-            // The training worlds may use libsumo, which a process can have only once.
-            &self.config.hosting().beside(),
-            EvaluationObserver { stop, report: &mut |_| {}, recorder: None },
+            EvaluationObserver { stop, report: &mut |_| {}, recorder: None, beside: true },
         );
         self.learner.swap_average();
         Ok(evaluation?)
@@ -206,7 +196,7 @@ impl Trainer {
 
     /// Returns the present state of the worlds and of the memory.
     fn mark(&self) -> Mark {
-        Mark { worlds: self.env.states(), memory: self.memory.shallow_clone() }
+        Mark { worlds: self.worlds.states(), memory: self.memory.shallow_clone() }
     }
 
     fn checkpoint_at(&self, mark: Mark) -> Checkpoint {
@@ -235,7 +225,7 @@ impl Trainer {
         let mut files = Files::open(
             dir,
             &self.config,
-            &self.scenario,
+            &*self.environment,
             self.progress.step,
             self.progress.validated,
         )?;

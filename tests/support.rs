@@ -8,8 +8,9 @@ use std::{
 };
 
 use iwol_sumo::{
+    driving::{Policy, evaluate},
     env::{Driver, Task, VecOptions},
-    evaluate::{Evaluation, EvaluationObserver, Policy, evaluate},
+    evaluate::{Evaluation, EvaluationObserver},
     rng::Seed,
     scenario::Scenario,
     sumo::{Backend, Hosting},
@@ -52,8 +53,12 @@ pub fn agents_drive(worlds: usize, seed: u64, hosting: Hosting) -> VecOptions {
 
 /// Evaluates a policy over a number of episodes, with SUMO processes.
 pub fn play(task: &Arc<Task>, policy: &Policy<'_>, episodes: u64, seed: Seed) -> Evaluation {
-    let observer =
-        EvaluationObserver { stop: &AtomicBool::new(false), report: &mut |_| {}, recorder: None };
+    let observer = EvaluationObserver {
+        stop: &AtomicBool::new(false),
+        report: &mut |_| {},
+        recorder: None,
+        beside: false,
+    };
     evaluate(task, policy, episodes, seed, &Hosting::default(), observer)
         .expect("SUMO runs; else run scripts/bootstrap")
 }

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
 use std::time::Duration;
 
 use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions, World};
-use iwol_sumo::replay::{RecordedDiagnostics, Recorder, Recording};
+use iwol_sumo::replay::{RecordedDiagnostics, Recorder, Recording, Title};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::sumo::Hosting;
 use numpy::{
@@ -161,7 +161,7 @@ impl NativeEnv {
         running.env.take_finished();
         running.finished.clear();
         running.seed = seed;
-        running.recorder = record.then(|| Recorder::new(task, episode));
+        running.recorder = record.then(|| Recorder::new(&task.spec, episode));
         self.fill(py, &running.env, &arrays)
     }
 
@@ -181,16 +181,17 @@ impl NativeEnv {
         };
         self.take_actions(py, actions, running)?;
         let Running { env, actions, finished, recorder, .. } = running;
-        if let (Some(recorder), Some(world)) = (&mut *recorder, env.worlds().next())
-            && recorder.watches(world)
+        if let Some(recorder) = &mut *recorder
+            && let Some(e) = recorder.watches(env)
         {
             let width = self.task.agents * self.task.spec.actions.len();
-            recorder.decide(world, &actions[..width], &RecordedDiagnostics::default());
+            let actions = &actions[e * width..][..width];
+            recorder.decide(env, e, actions, &RecordedDiagnostics::default());
         }
         let taken = py.detach(|| env.step(actions));
         taken.map_err(|error| of_env(py, &error))?;
-        if let (Some(recorder), Some(world)) = (&mut *recorder, env.worlds().next()) {
-            recorder.reward(world);
+        if let Some(recorder) = &mut *recorder {
+            recorder.reward(env);
         }
         self.fill(py, env, &arrays)?;
         *finished = env.take_finished();
@@ -363,9 +364,10 @@ impl NativeEnv {
         let Some(Running { recorder: Some(recorder), seed, env, .. }) = running.as_ref() else {
             return Ok(None);
         };
-        let Some(world) = env.worlds().next() else { return Ok(None) };
-        let recording = recorder.so_far(&self.task, world, "Python", *seed);
-        recording.map_err(|error| exception(py, "Error", error.to_string()))
+        let backdrop = self.task.backdrop().map_err(|error| of_env(py, &error))?;
+        let environment = &self.task.scenario.name;
+        let title = Title { environment, policy: "Python", seed: *seed };
+        Ok(recorder.so_far(env, 0, &backdrop, &title))
     }
 }
 

@@ -3,10 +3,9 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use iwol_sumo::env::{Error, Task, VecEnv};
-use iwol_sumo::evaluate::{
-    self as evaluation, Actor, Controller, EvaluationObserver, POLICIES, Policy,
-};
+use iwol_sumo::driving::{self, POLICIES, Policy};
+use iwol_sumo::env::{EnvSpec, Error, Frame, Worlds};
+use iwol_sumo::evaluate::{Actor, Controller, EvaluationObserver};
 use iwol_sumo::metrics::{EvaluationResult, Knowledge};
 use iwol_sumo::provenance::Program;
 use iwol_sumo::replay::RecordedDiagnostics;
@@ -54,8 +53,9 @@ pub(crate) fn evaluate(
         let rule = rule.as_deref().and_then(Policy::by_name);
         let policy = rule.unwrap_or(Policy::Learned(&callable));
         let mut report = |_| callable.check_signals();
-        let observer = EvaluationObserver { stop: &stop, report: &mut report, recorder: None };
-        evaluation::evaluate(&task.task, &policy, episodes, seeds, &hosting, observer)
+        let observer =
+            EvaluationObserver { stop: &stop, report: &mut report, recorder: None, beside: false };
+        driving::evaluate(&task.task, &policy, episodes, seeds, &hosting, observer)
     });
     if let Some(error) = raised.lock().ok().and_then(|mut raised| raised.take()) {
         return Err(error);
@@ -110,15 +110,15 @@ impl Callable<'_> {
 }
 
 impl Controller for Callable<'_> {
-    fn actor<'a>(&'a self, task: &'a Task, _: Seed) -> Box<dyn Actor + 'a> {
-        Box::new(CallableActor { callable: self, task })
+    fn actor<'a>(&'a self, spec: &'a EnvSpec, _: Seed) -> Box<dyn Actor + 'a> {
+        Box::new(CallableActor { callable: self, spec })
     }
 }
 
 /// The function at work in an evaluation.
 struct CallableActor<'a> {
     callable: &'a Callable<'a>,
-    task: &'a Task,
+    spec: &'a EnvSpec,
 }
 
 impl Actor for CallableActor<'_> {
@@ -126,13 +126,13 @@ impl Actor for CallableActor<'_> {
 
     fn act(
         &mut self,
-        env: &VecEnv,
+        worlds: &dyn Worlds,
         actions: &mut [f32],
         _: Option<usize>,
     ) -> Result<RecordedDiagnostics, Error> {
         let chosen = Python::attach(|py| {
             py.check_signals()?;
-            self.call(py, env, actions)
+            self.call(py, worlds, actions)
         });
         if let Err(error) = chosen {
             self.callable.fail(error);
@@ -146,10 +146,10 @@ impl Actor for CallableActor<'_> {
 }
 
 impl CallableActor<'_> {
-    fn call(&self, py: Python<'_>, env: &VecEnv, actions: &mut [f32]) -> PyResult<()> {
-        let (e, n, spec) = (env.len(), self.task.agents, &self.task.spec);
-        let numbers = |of: fn(&iwol_sumo::env::Frame) -> &[f32]| {
-            env.worlds().flat_map(|world| of(world.frame())).copied().collect::<Vec<f32>>()
+    fn call(&self, py: Python<'_>, worlds: &dyn Worlds, actions: &mut [f32]) -> PyResult<()> {
+        let (e, n, spec) = (worlds.count(), self.spec.agents, self.spec);
+        let numbers = |of: fn(&Frame) -> &[f32]| {
+            (0..e).flat_map(|e| of(worlds.view(e).frame)).copied().collect::<Vec<f32>>()
         };
         let flags = |of| numbers(of).iter().map(|flag| *flag > 0.5).collect::<Vec<bool>>();
         let observation = PyArray::from_vec(py, numbers(|frame| &frame.observation)).reshape([

@@ -1,15 +1,15 @@
 //! From the worlds' frames to the rows of a rollout. All policies, in training and in evaluation, get
 //! their tensors from such rows ([`Observation::at`](super::Observation::at), `Batch`).
 
-use crate::env::VecEnv;
+use crate::env::Worlds;
 use crate::rollout::Rollout;
 
 /// Stores the worlds' frames before decision `t` as row `t` of a rollout: observations, privileged
-/// states, masks, and which agents act. Rows of worlds that `env` lacks stay as they are.
-pub fn store_frames(env: &VecEnv, rollout: &mut Rollout, t: usize) {
+/// states, masks, and which agents act. Rows of worlds that `worlds` lacks stay as they are.
+pub fn store_frames(worlds: &dyn Worlds, rollout: &mut Rollout, t: usize) {
     let s = rollout.sizes;
-    for (e, world) in env.worlds().enumerate() {
-        let frame = world.frame();
+    for e in 0..worlds.count() {
+        let frame = worlds.view(e).frame;
         let cell = |width| rollout.cell(t, e, width);
         let (observation, state, comm, each) =
             (cell(s.observation), cell(s.state), cell(s.agents), cell(1));

@@ -12,11 +12,12 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::evaluate::{Controller, EvaluationObserver, POLICIES, Policy, evaluate};
+use iwol_sumo::driving::{POLICIES, Policy, evaluate};
+use iwol_sumo::evaluate::{Controller, EvaluationObserver};
 use iwol_sumo::metrics::EvaluationResult;
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
-use iwol_sumo::replay::Recorder;
+use iwol_sumo::replay::{Recorder, Title};
 use iwol_sumo::rng::Seed;
 
 use self::setup::Setup;
@@ -144,10 +145,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .record
             .as_ref()
             .filter(|_| number == 0)
-            .map(|_| Recorder::new(task, args.record_episode));
+            .map(|_| Recorder::new(&task.spec, args.record_episode));
         let mut show = |done| bar.set_position(done);
-        let observer =
-            EvaluationObserver { stop: &stop, report: &mut show, recorder: recorder.as_mut() };
+        let observer = EvaluationObserver {
+            stop: &stop,
+            report: &mut show,
+            recorder: recorder.as_mut(),
+            beside: false,
+        };
         let evaluation = evaluate(task, policy, args.episodes, seed, hosting, observer)
             .with_context(|| format!("the evaluation of {name} failed"))?;
         bar.finish_and_clear();
@@ -166,7 +171,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .run
                 .as_ref()
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
-            let recording = recorder.finish(task, &driver, args.seed, record)?;
+            let title = Title { environment: &setup.scenario, policy: &driver, seed: args.seed };
+            let recording = recorder.finish(&task.backdrop()?, &title, record);
             recorded =
                 Some((recording.context("the recorded episode did not reach its end")?, path));
         }

@@ -11,8 +11,9 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document};
+use iwol_sumo::driving;
 use iwol_sumo::sumo::Choice;
-use iwol_sumo::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
+use iwol_sumo::train::{Report, RunDir, TrainingEnd, human_duration};
 use iwol_sumo::words::counted;
 
 use super::Verdict;
@@ -121,9 +122,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
         changes = config::changes(&checkpoint.config, &config.to_toml());
-        Trainer::resume(config.clone(), scenario, &checkpoint)?
+        driving::resume(config.clone(), &scenario, &checkpoint)?
     } else {
-        Trainer::new(config.clone(), scenario)?
+        driving::trainer(config.clone(), &scenario)?
     };
     if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
         bail!(

@@ -2,20 +2,33 @@
 //! without tensors.
 //!
 //! - [`EnvSpec`]: what a learner must know about an environment.
+//! - [`Environment`] and [`Worlds`]: what learners and evaluations use. They know no other.
 //! - `driving`: vehicles in SUMO. A [`Task`] is a scenario prepared for a number of vehicles; a
 //!   [`World`] is the traffic of one episode, which needs no simulator: it emits commands and takes
 //!   in snapshots; a [`VecEnv`] is many worlds in lock-step on the simulators that host them.
 //! - `expert`: drivers without training ([`Pursuit`]).
 
 mod driving;
+mod environment;
+mod episode;
+mod error;
 mod expert;
+mod frame;
+mod order;
+mod picture;
 mod spec;
 
 pub use driving::{
-    AgentView, Audit, BackgroundMetrics, Conflict, Driver, EpisodeRecord, Error, Failures,
-    FlowMetrics, Frame, MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Position, Refused,
-    Resets, RouteGeometry, RoutePosition, Size, Task, VecEnv, VecOptions, World, WorldState,
-    acceleration, advance, boxes_overlap, physical_mask,
+    AgentView, Audit, BackgroundMetrics, Conflict, Driver, EpisodeRecord, Failures, FlowMetrics,
+    MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Refused, Resets, RouteGeometry,
+    RoutePosition, Size, Task, Traffic, VecEnv, VecOptions, World, acceleration, advance,
+    boxes_overlap, physical_mask,
 };
+pub use environment::{Environment, Stream, WorldPhase, WorldView, Worlds};
+pub use episode::WorldState;
+pub use error::Error;
 pub use expert::Pursuit;
+pub use frame::Frame;
+pub use order::Position;
+pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace};
 pub use spec::{ActionDimension, EnvSpec, Feature, Features, Group};

@@ -3,14 +3,14 @@
 use rand::RngExt as _;
 
 use super::{Knowledge, Policy, WORLDS};
-use crate::env::{self, Task, VecEnv};
+use crate::env::{self, EnvSpec, Worlds};
 use crate::replay::{RecordedDiagnostics, Recorder};
 use crate::rng::{self, Seed};
 
 /// A policy with a state of its own, such as a trained one.
 pub trait Controller {
     /// Returns an actor that draws all its random numbers from `seed`, by episode and step.
-    fn actor<'a>(&'a self, task: &'a Task, seed: Seed) -> Box<dyn Actor + 'a>;
+    fn actor<'a>(&'a self, spec: &'a EnvSpec, seed: Seed) -> Box<dyn Actor + 'a>;
 }
 
 /// Chooses the actions of all worlds of an evaluation.
@@ -25,7 +25,7 @@ pub trait Actor {
     /// [`env::Error::Policy`] if the policy cannot choose them.
     fn act(
         &mut self,
-        env: &VecEnv,
+        worlds: &dyn Worlds,
         actions: &mut [f32],
         watched: Option<usize>,
     ) -> Result<RecordedDiagnostics, env::Error>;
@@ -45,7 +45,7 @@ pub trait Actor {
 /// Computes actions from frames. All randomness depends only on seed, episode and step.
 pub(super) struct PolicyDriver<'a> {
     pub(super) policy: &'a Policy<'a>,
-    task: &'a Task,
+    spec: &'a EnvSpec,
     seed: Seed,
     pub(super) actions: Vec<f32>,
     pub(super) actor: Option<Box<dyn Actor + 'a>>,
@@ -55,50 +55,41 @@ pub(super) struct PolicyDriver<'a> {
 impl<'a> PolicyDriver<'a> {
     pub(super) fn new(
         policy: &'a Policy<'a>,
-        task: &'a Task,
+        spec: &'a EnvSpec,
         seed: Seed,
         recorder: Option<&'a mut Recorder>,
     ) -> Self {
         let actor = match policy {
-            Policy::Learned(controller) => Some(controller.actor(task, seed)),
+            Policy::Learned(controller) => Some(controller.actor(spec, seed)),
             _ => None,
         };
-        Self { policy, task, seed, actions: Vec::new(), actor, recorder }
+        Self { policy, spec, seed, actions: Vec::new(), actor, recorder }
     }
 
     /// Forgets everything about the worlds: others follow.
     pub(super) fn begin(&mut self) {
-        self.actions = vec![0.0; WORLDS * self.task.agents * self.task.spec.actions.len()];
+        self.actions = vec![0.0; WORLDS * self.spec.agents * self.spec.actions.len()];
         if let Some(actor) = &mut self.actor {
             actor.begin();
         }
     }
 
-    pub(super) fn act(&mut self, env: &VecEnv) -> Result<(), env::Error> {
-        let worlds = env.worlds();
-        let watched = env
-            .worlds()
-            .enumerate()
-            .find(|(_, world)| self.recorder.as_ref().is_some_and(|r| r.watches(world)));
+    pub(super) fn act(&mut self, worlds: &dyn Worlds) -> Result<(), env::Error> {
+        let watched = self.recorder.as_ref().and_then(|recorder| recorder.watches(worlds));
         let mut diagnostics = RecordedDiagnostics::default();
-        let width = self.task.agents * self.task.spec.actions.len();
+        let width = self.spec.agents * self.spec.actions.len();
         match self.policy {
-            Policy::Throttle(throttle) => {
-                let values = self.task.action(0.0, f64::from(*throttle));
-                for action in self.actions.chunks_mut(self.task.spec.actions.len()) {
-                    action.iter_mut().zip(values).for_each(|(to, from)| *to = from as f32);
+            Policy::Constant(action) => {
+                for actions in self.actions.chunks_mut(action.len()) {
+                    actions.copy_from_slice(action);
                 }
             }
-            Policy::Pursuit(pursuit) => {
-                worlds
-                    .zip(self.actions.chunks_mut(width))
-                    .for_each(|(world, acts)| world.pursue(*pursuit, acts));
-            }
-            Policy::Sumo => {}
+            Policy::Rule => worlds.follow_rule(&mut self.actions),
+            Policy::Nothing => {}
             Policy::Gaussian | Policy::Uniform => {
-                for (world, actions) in worlds.zip(self.actions.chunks_mut(width)) {
-                    let mut rng =
-                        self.seed.index(world.episode()).index(u64::from(world.step_count())).rng();
+                for (e, actions) in (0..worlds.count()).zip(self.actions.chunks_mut(width)) {
+                    let view = worlds.view(e);
+                    let mut rng = self.seed.index(view.episode).index(u64::from(view.step)).rng();
                     if matches!(self.policy, Policy::Gaussian) {
                         rng::fill_normal(&mut rng, actions);
                     } else {
@@ -108,16 +99,16 @@ impl<'a> PolicyDriver<'a> {
             }
             Policy::Learned(_) => {
                 let actor = self.actor.as_mut().expect("a trained policy has an actor");
-                diagnostics = actor.act(env, &mut self.actions, watched.map(|(world, _)| world))?;
+                diagnostics = actor.act(worlds, &mut self.actions, watched)?;
             }
         }
-        if let (Some(recorder), Some((e, world))) = (&mut self.recorder, watched) {
-            let actions = if matches!(self.policy, Policy::Sumo) {
+        if let (Some(recorder), Some(e)) = (&mut self.recorder, watched) {
+            let actions = if matches!(self.policy, Policy::Nothing) {
                 &[][..]
             } else {
                 &self.actions[e * width..][..width]
             };
-            recorder.decide(world, actions, &diagnostics);
+            recorder.decide(worlds, e, actions, &diagnostics);
         }
         Ok(())
     }

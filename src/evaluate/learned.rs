@@ -11,7 +11,7 @@ use super::{Actor, Controller, Knowledge, WORLDS};
 use crate::algo::{
     ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation, store_frames,
 };
-use crate::env::{self, Task, VecEnv};
+use crate::env::{self, EnvSpec, Worlds};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
@@ -28,10 +28,10 @@ pub struct LearnedPolicy<'a> {
 }
 
 impl Controller for LearnedPolicy<'_> {
-    fn actor<'a>(&'a self, task: &'a Task, seed: Seed) -> Box<dyn Actor + 'a> {
+    fn actor<'a>(&'a self, spec: &'a EnvSpec, seed: Seed) -> Box<dyn Actor + 'a> {
         let mut actor = LearnedActor {
             policy: self,
-            task,
+            spec,
             seed,
             sums: Sums::default(),
             sent: BTreeMap::new(),
@@ -39,9 +39,9 @@ impl Controller for LearnedPolicy<'_> {
             frames: Rollout::new(Sizes {
                 steps: 0,
                 envs: WORLDS,
-                agents: task.agents,
-                observation: task.spec.observation.len(),
-                state: task.spec.state.len(),
+                agents: spec.agents,
+                observation: spec.observation.len(),
+                state: spec.state.len(),
                 actions: 0,
                 memory: 0,
                 graphs: 0,
@@ -55,7 +55,7 @@ impl Controller for LearnedPolicy<'_> {
 
 struct LearnedActor<'a> {
     policy: &'a LearnedPolicy<'a>,
-    task: &'a Task,
+    spec: &'a EnvSpec,
     seed: Seed,
     sums: Sums,
     /// Bits sent, and decisions, of each episode.
@@ -72,7 +72,7 @@ impl Actor for LearnedActor<'_> {
         self.frames = Rollout::new(self.frames.sizes);
         let memory = learner.memory() + channel.memory(learner.message_width());
         self.memory = Tensor::zeros(
-            [WORLDS as i64, self.task.agents as i64, memory as i64],
+            [WORLDS as i64, self.spec.agents as i64, memory as i64],
             (Kind::Float, Device::Cpu),
         );
         self.decisions = 0;
@@ -80,21 +80,22 @@ impl Actor for LearnedActor<'_> {
 
     fn act(
         &mut self,
-        env: &VecEnv,
+        worlds: &dyn Worlds,
         actions: &mut [f32],
         watched: Option<usize>,
     ) -> Result<RecordedDiagnostics, env::Error> {
         let LearnedPolicy { learner, channel } = self.policy;
         let mut sources = [Seed::new(0); WORLDS];
         let mut episodes = [0; WORLDS];
-        for (e, world) in env.worlds().enumerate() {
-            episodes[e] = world.episode();
-            sources[e] = self.seed.index(world.episode()).index(u64::from(world.step_count()));
+        for e in 0..worlds.count() {
+            let view = worlds.view(e);
+            episodes[e] = view.episode;
+            sources[e] = self.seed.index(view.episode).index(u64::from(view.step));
         }
-        store_frames(env, &mut self.frames, 0);
+        store_frames(worlds, &mut self.frames, 0);
         let observation = Observation::at(&self.frames, 0, &self.memory);
         let per_agent = |array: &[f32], shape: &[i64]| {
-            let shape = [&[WORLDS as i64, self.task.agents as i64][..], shape].concat();
+            let shape = [&[WORLDS as i64, self.spec.agents as i64][..], shape].concat();
             Tensor::from_slice(array).view(&shape[..])
         };
         let decision = if channel.is_perfect() {
@@ -104,7 +105,7 @@ impl Actor for LearnedActor<'_> {
                 channel,
                 &sources,
                 &self.frames.comm,
-                self.task.agents,
+                self.spec.agents,
                 learner.message_width(),
             );
             learner.act_through(&observation, channel, &noise)

@@ -11,7 +11,7 @@ use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use serde_json::Value;
 
 use super::{Actor, Controller, WORLDS};
-use crate::env::{self, Task, VecEnv};
+use crate::env::{self, EnvSpec, Worlds};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::Seed;
 
@@ -39,25 +39,24 @@ pub struct OnnxPolicy {
 }
 
 impl OnnxPolicy {
-    /// Reads a file, for use in a task.
+    /// Reads a file, for use in an environment.
     ///
     /// # Errors
     /// [`OnnxError`] if the file is no ONNX model, has other inputs and outputs, is for another
-    /// number of agents, or observes something else than the task's agents do. The names of the
+    /// number of agents, or observes something else than the environment's agents do. The names of the
     /// observation's numbers are compared if the file has the metadata of `iwol export --onnx`.
-    pub fn load(file: &Path, task: &Task) -> Result<Self, OnnxError> {
-        Self::read(file, task).map_err(|what| OnnxError { file: file.to_owned(), what })
+    pub fn load(file: &Path, spec: &EnvSpec) -> Result<Self, OnnxError> {
+        Self::read(file, spec).map_err(|what| OnnxError { file: file.to_owned(), what })
     }
 
-    fn read(file: &Path, task: &Task) -> Result<Self, String> {
+    fn read(file: &Path, spec: &EnvSpec) -> Result<Self, String> {
         // By it the library tells formats apart.
         if file.extension().is_none_or(|end| end != "onnx") {
             return Err("the name of an ONNX file ends in .onnx".to_owned());
         }
         std::fs::File::open(file).map_err(|error| format!("cannot be read: {error}"))?;
         let model = Model::load_file(file).map_err(|error| format!("is no ONNX model: {error}"))?;
-        let spec = &task.spec;
-        let sizes @ [n, o, a] = [task.agents, spec.observation.len(), spec.actions.len()];
+        let sizes @ [n, o, a] = [spec.agents, spec.observation.len(), spec.actions.len()];
         let named = |nodes: &[NodeId], name: &str| {
             let of = |node: &&NodeId| model.node_info(**node).and_then(|node| node.name());
             nodes.iter().find(|node| of(node) == Some(name)).copied()
@@ -101,7 +100,7 @@ impl OnnxPolicy {
             }
         }
         if let Some(text) = model.metadata().get("policy") {
-            compare_names(text, task)?;
+            compare_names(text, spec)?;
         }
         // Networks are small: threads would wait for each other.
         let pool = Arc::new(ThreadPool::with_num_threads(1));
@@ -132,13 +131,13 @@ impl OnnxPolicy {
     }
 }
 
-/// Compares the names of the numbers of observations and actions with those of a task. `text` is
+/// Compares the names of the numbers of observations and actions with those of an environment. `text` is
 /// the JSON that `iwol export --onnx` writes.
-fn compare_names(text: &str, task: &Task) -> Result<(), String> {
+fn compare_names(text: &str, spec: &EnvSpec) -> Result<(), String> {
     let metadata: Value = serde_json::from_str(text)
         .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
-    let observation = task.spec.observation.list.iter().map(|feature| feature.name.as_str());
-    let actions = task.spec.actions.iter().map(|action| action.name);
+    let observation = spec.observation.list.iter().map(|feature| feature.name.as_str());
+    let actions = spec.actions.iter().map(|action| action.name);
     for (part, ours) in
         [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())]
     {
@@ -162,7 +161,7 @@ fn compare_names(text: &str, task: &Task) -> Result<(), String> {
 }
 
 impl Controller for OnnxPolicy {
-    fn actor<'a>(&'a self, _: &'a Task, _: Seed) -> Box<dyn Actor + 'a> {
+    fn actor<'a>(&'a self, _: &'a EnvSpec, _: Seed) -> Box<dyn Actor + 'a> {
         // Batches are whole, as of every learned policy.
         let worlds = WORLDS.next_multiple_of(self.batch);
         let [n, o, _] = self.sizes;
@@ -188,14 +187,14 @@ impl Actor for OnnxActor<'_> {
 
     fn act(
         &mut self,
-        env: &VecEnv,
+        worlds: &dyn Worlds,
         actions: &mut [f32],
         _: Option<usize>,
     ) -> Result<RecordedDiagnostics, env::Error> {
         let Self { policy, observation, comm } = self;
         let [n, o, a] = policy.sizes;
-        for (e, world) in env.worlds().enumerate() {
-            let frame = world.frame();
+        for e in 0..worlds.count() {
+            let frame = worlds.view(e).frame;
             observation[e * n * o..][..n * o].copy_from_slice(&frame.observation);
             comm[e * n * n..][..n * n].copy_from_slice(&frame.comm);
         }
@@ -206,7 +205,7 @@ impl Actor for OnnxActor<'_> {
             let chosen = policy.run(observation, comm).map_err(env::Error::Policy)?;
             actions.copy_from_slice(&chosen[..actions.len()]);
         }
-        let active = env.worlds().flat_map(|world| &world.frame().active);
+        let active = (0..worlds.count()).flat_map(|e| &worlds.view(e).frame.active);
         for (row, (active, action)) in active.zip(actions.chunks(a)).enumerate() {
             if *active > 0.5 && action.iter().any(|value| value.is_nan()) {
                 return Err(env::Error::Policy(format!("the action of agent {} is NaN", row % n)));
@@ -222,6 +221,7 @@ mod tests {
 
     use super::*;
     use crate::algo::{self, ActMode, Observation, Settings, onnx};
+    use crate::env::Task;
     use crate::rng;
     use crate::scenario::Scenario;
 
@@ -254,7 +254,7 @@ mod tests {
             let graph = onnx::graph(method, &task.spec, &settings, &state).expect("a model");
             let file = folder.path().join(format!("{method}.onnx"));
             std::fs::write(&file, graph.encode(method, &[])).expect("written");
-            let model = OnnxPolicy::load(&file, &task).expect("a model for this task");
+            let model = OnnxPolicy::load(&file, &task.spec).expect("a model for this task");
             let mut graphs = Seed::new(2).rng();
             let mut spread = 0.0_f64;
             for _ in 0..8 {

@@ -24,7 +24,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::record;
 
-pub use recorder::{RecordedDiagnostics, Recorder};
+pub use crate::env::Lane;
+pub use recorder::{RecordedDiagnostics, Recorder, Title};
 
 /// The player's HTML; the recording replaces [`HOLE`].
 const PLAYER: &str = include_str!("player.html");
@@ -99,22 +100,6 @@ pub struct Size {
     pub length: f64,
     /// Width \[m\].
     pub width: f64,
-}
-
-/// A lane to draw.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Lane {
-    /// SUMO id.
-    pub id: String,
-    /// Width \[m\].
-    pub width: f64,
-    /// Whether the lane lies in a junction.
-    pub internal: bool,
-    /// Whether the lane is a pedestrian crossing.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub crossing: bool,
-    /// Centre line \[m\].
-    pub shape: Vec<[f64; 2]>,
 }
 
 /// A column of numbers per step and agent.
@@ -287,14 +272,6 @@ pub enum Error {
         path: PathBuf,
         /// Description of the damage.
         why: String,
-    },
-    /// The net cannot be read.
-    #[error("cannot read the net `{}`", path.display())]
-    Net {
-        /// The file.
-        path: PathBuf,
-        /// The net reader's error.
-        source: crate::sumo::net::NetError,
     },
     /// The file cannot be read or written.
     #[error(transparent)]

@@ -5,9 +5,10 @@ use std::collections::BTreeMap;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 
-use super::{Column, Error, FORMAT, Lane, Recording, Signal, Size, Status};
-use crate::env::{EpisodeRecord, Outcome, Task, World};
-use crate::sumo::net::{EdgeFunction, Net};
+use super::{Column, FORMAT, Recording, Signal, Size, Status};
+use crate::env::{
+    Backdrop, EnvSpec, EpisodeRecord, FigureStatus, Picture, WorldPhase, WorldView, Worlds,
+};
 
 /// Number of steps for which a vehicle that has arrived stays visible.
 const FAREWELL: u32 = 5;
@@ -25,9 +26,9 @@ pub struct RecordedDiagnostics {
 #[derive(Debug, Clone)]
 pub struct Recorder {
     episode: u64,
-    actions: usize,
-    /// Whether the task has background traffic.
-    others: bool,
+    agents: usize,
+    /// Names of the numbers of an action.
+    actions: Vec<&'static str>,
     rows: Rows,
     finished: bool,
 }
@@ -61,48 +62,69 @@ impl Rows {
 }
 
 impl Recorder {
-    /// Creates a recorder that waits for the given episode of a task.
-    pub fn new(task: &Task, episode: u64) -> Self {
-        let actions = task.spec.actions.len();
-        let rows = Rows::new(task.agents, actions);
-        Self { episode, actions, others: task.others > 0, rows, finished: false }
+    /// Creates a recorder that waits for the given episode.
+    pub fn new(spec: &EnvSpec, episode: u64) -> Self {
+        let actions: Vec<&'static str> = spec.actions.iter().map(|one| one.name).collect();
+        let rows = Rows::new(spec.agents, actions.len());
+        Self { episode, agents: spec.agents, actions, rows, finished: false }
     }
 
-    /// Returns whether a world plays the episode that the recorder waits for.
-    pub fn watches(&self, world: &World) -> bool {
-        !self.finished
-            && world.episode() == self.episode
-            && (world.is_running() || world.has_ended())
+    /// Returns the number of the world that plays the episode for which the recorder waits.
+    pub fn watches(&self, worlds: &dyn Worlds) -> Option<usize> {
+        let plays = |view: WorldView<'_>| {
+            view.episode == self.episode
+                && matches!(view.phase, WorldPhase::Running | WorldPhase::Ended)
+        };
+        (0..worlds.count()).find(|&e| !self.finished && plays(worlds.view(e)))
     }
 
-    /// Records the state of the watched world before a decision, and the decision `actions [N, A]`.
-    pub fn decide(&mut self, world: &World, actions: &[f32], diagnostics: &RecordedDiagnostics) {
-        let agents = world.agents().count();
+    /// Records the state of the watched world `e` before a decision, and the decision
+    /// `actions [N, A]`.
+    pub fn decide(
+        &mut self,
+        worlds: &dyn Worlds,
+        e: usize,
+        actions: &[f32],
+        diagnostics: &RecordedDiagnostics,
+    ) {
+        let Some(picture) = worlds.picture(e) else { return };
+        self.note(&worlds.view(e), &picture, actions, diagnostics);
+    }
+
+    fn note(
+        &mut self,
+        view: &WorldView<'_>,
+        picture: &Picture,
+        actions: &[f32],
+        diagnostics: &RecordedDiagnostics,
+    ) {
+        let agents = self.agents;
         // An episode in which SUMO died is played again from its start.
-        if world.step_count() == 0 {
-            self.rows = Rows::new(agents, self.actions);
+        if view.step == 0 {
+            self.rows = Rows::new(agents, self.actions.len());
         }
-        let acts = world.is_running();
+        let acts = view.phase == WorldPhase::Running;
         let rows = &mut self.rows;
-        for (i, agent) in world.agents().enumerate() {
-            let status = match agent.outcome {
-                _ if agent.driving => Status::Driving,
-                _ if agent.wreck => Status::Crashed,
-                Outcome { arrived: true, .. } if rows.arrived[i] < FAREWELL => Status::Arrived,
+        for (i, agent) in picture.agents.iter().enumerate() {
+            let arrived = agent.status == FigureStatus::Arrived;
+            let status = match agent.status {
+                FigureStatus::Active => Status::Driving,
+                FigureStatus::Failed => Status::Crashed,
+                FigureStatus::Arrived if rows.arrived[i] < FAREWELL => Status::Arrived,
                 _ => Status::Gone,
             };
-            rows.arrived[i] += u32::from(agent.outcome.arrived);
-            rows.x.push(agent.pose.x);
-            rows.y.push(agent.pose.y);
+            rows.arrived[i] += u32::from(arrived);
+            rows.x.push(agent.centre[0]);
+            rows.y.push(agent.centre[1]);
             // The heading is mapped to −π..π, the range that a scale of 1e-4 can store.
-            let (sin, cos) = agent.pose.heading.sin_cos();
+            let (sin, cos) = agent.heading.sin_cos();
             rows.heading.push(sin.atan2(cos));
             rows.sizes.iter_mut().zip(agent.size).for_each(|(column, size)| column.push(size));
-            let if_driving = |value: f64| if agent.driving { value } else { f64::NAN };
+            let if_driving = |value: f64| if status == Status::Driving { value } else { f64::NAN };
             rows.speed.push(if_driving(agent.speed));
             for (a, column) in rows.action.iter_mut().enumerate() {
                 let action = actions
-                    .get(i * self.actions + a)
+                    .get(i * self.actions.len() + a)
                     .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
                 column.push(if acts { if_driving(action) } else { f64::NAN });
             }
@@ -111,26 +133,18 @@ impl Recorder {
             rows.reward.push(f64::NAN);
             rows.status.push(status as u8);
         }
-        if self.others {
-            let short = |v: f64| (1000.0 * v).round() / 1000.0;
-            let row = world.others().map(|other| {
-                let (pose, wreck) = (other.pose, f64::from(u8::from(other.wreck)));
-                [
-                    short(pose.x),
-                    short(pose.y),
-                    short(pose.heading),
-                    other.size[0],
-                    other.size[1],
-                    wreck,
-                ]
-            });
-            rows.others.push(row.collect());
+        let short = |v: f64| (1000.0 * v).round() / 1000.0;
+        let row = picture.others.iter().map(|other| {
+            let wreck = f64::from(u8::from(other.status == FigureStatus::Failed));
+            let [x, y] = other.centre.map(short);
+            [x, y, short(other.heading), other.size[0], other.size[1], wreck]
+        });
+        rows.others.push(row.collect());
+        rows.lights.resize(picture.lights.len(), Vec::new());
+        for (light, state) in rows.lights.iter_mut().zip(&picture.lights) {
+            light.push(state.clone());
         }
-        rows.lights.resize(world.traffic_lights().count(), Vec::new());
-        for (light, state) in rows.lights.iter_mut().zip(world.traffic_lights()) {
-            light.push(state.to_owned());
-        }
-        let comm = &world.frame().comm;
+        let comm = &view.frame.comm;
         rows.graph = !diagnostics.graph.is_empty();
         for i in 0..agents {
             let mut bits = vec![0_u8; agents.div_ceil(8)];
@@ -141,74 +155,52 @@ impl Recorder {
             }
             rows.edges.extend(bits);
         }
-        self.finished |= world.has_ended();
+        self.finished |= view.phase == WorldPhase::Ended;
     }
 
     /// Records the rewards of the step that followed the last decision.
-    pub fn reward(&mut self, world: &World) {
-        if self.finished || world.episode() != self.episode || world.step_count() == 0 {
+    pub fn reward(&mut self, worlds: &dyn Worlds) {
+        if self.finished {
             return;
         }
-        let first = self.rows.reward.len().saturating_sub(world.agents().count());
-        for (i, agent) in world.agents().enumerate() {
-            if Status::from(self.rows.status[first + i]) == Status::Driving {
-                self.rows.reward[first + i] = agent.reward;
+        let views = (0..worlds.count()).map(|e| worlds.view(e));
+        for view in views.filter(|view| view.episode == self.episode && view.step > 0) {
+            let first = self.rows.reward.len().saturating_sub(self.agents);
+            for (i, reward) in view.frame.reward.iter().enumerate() {
+                if Status::from(self.rows.status[first + i]) == Status::Driving {
+                    self.rows.reward[first + i] = f64::from(*reward);
+                }
             }
         }
     }
 
-    /// Returns the recording of the episode as far as `world` has played it. Its last step is the
+    /// Returns the recording of the episode as far as world `e` has played it. Its last step is the
     /// present one. `None` if the world plays another episode and nothing has been recorded.
-    ///
-    /// # Errors
-    /// As [`Recorder::finish`].
     pub fn so_far(
         &self,
-        task: &Task,
-        world: &World,
-        policy: &str,
-        seed: u64,
-    ) -> Result<Option<Recording>, Error> {
+        worlds: &dyn Worlds,
+        e: usize,
+        backdrop: &Backdrop,
+        title: &Title<'_>,
+    ) -> Option<Recording> {
         let mut recorder = self.clone();
-        if recorder.watches(world) {
-            recorder.decide(world, &[], &RecordedDiagnostics::default());
+        if recorder.watches(worlds) == Some(e) {
+            recorder.decide(worlds, e, &[], &RecordedDiagnostics::default());
         }
         recorder.finished = !recorder.rows.status.is_empty();
-        recorder.finish(task, policy, seed, None)
+        recorder.finish(backdrop, title, None)
     }
 
     /// Returns the recording; `None` if the episode was not played to its end.
-    ///
-    /// # Errors
-    /// [`Error::Net`] if the net cannot be read.
     pub fn finish(
         self,
-        task: &Task,
-        policy: &str,
-        seed: u64,
+        backdrop: &Backdrop,
+        title: &Title<'_>,
         record: Option<&EpisodeRecord>,
-    ) -> Result<Option<Recording>, Error> {
+    ) -> Option<Recording> {
         if !self.finished {
-            return Ok(None);
+            return None;
         }
-        let path = task.map.net_file();
-        let net = Net::load(path).map_err(|source| Error::Net { path: path.to_owned(), source })?;
-        let lanes = net
-            .lanes
-            .iter()
-            .filter(|lane| {
-                !matches!(
-                    net.edges[lane.edge].function,
-                    EdgeFunction::Other | EdgeFunction::WalkingArea
-                )
-            })
-            .map(|lane| Lane {
-                id: lane.id.clone(),
-                width: lane.width,
-                internal: net.edges[lane.edge].function == EdgeFunction::Internal,
-                crossing: net.edges[lane.edge].function == EdgeFunction::Crossing,
-                shape: lane.shape.clone(),
-            });
         let mut columns = BTreeMap::from([
             ("x".to_owned(), Column::new("m", &self.rows.x)),
             ("y".to_owned(), Column::new("m", &self.rows.y)),
@@ -216,8 +208,8 @@ impl Recorder {
             ("speed".to_owned(), Column::new("m/s", &self.rows.speed)),
             ("reward".to_owned(), Column::new("1", &self.rows.reward)),
         ]);
-        let vehicle = task.scenario.vehicle;
-        let sizes = [("length", vehicle.length), ("width", vehicle.width)];
+        let [length, width] = backdrop.size;
+        let sizes = [("length", length), ("width", width)];
         for ((name, usual), column) in sizes.into_iter().zip(&self.rows.sizes) {
             let present = column.iter().zip(&self.rows.status);
             let mut present = present.filter(|(_, status)| **status != Status::Gone as u8);
@@ -225,8 +217,8 @@ impl Recorder {
                 columns.insert(name.to_owned(), Column::new("m", column));
             }
         }
-        for (dimension, action) in task.spec.actions.iter().zip(&self.rows.action) {
-            columns.insert(dimension.name.to_owned(), Column::new("1", action));
+        for (name, action) in self.actions.iter().zip(&self.rows.action) {
+            columns.insert((*name).to_owned(), Column::new("1", action));
         }
         if self.rows.value.iter().any(|value| value.is_finite()) {
             columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
@@ -239,67 +231,51 @@ impl Recorder {
                 ("episode_length", f64::from(r.episode_length)),
             ]
         });
-        let (vehicle, range) = (&task.scenario.vehicle, task.scenario.communication.range);
-        Ok(Some(Recording {
+        let signals = backdrop.signals.iter().map(|place| {
+            let letter = |state: &String| {
+                state.as_bytes().get(place.signal).map_or('O', |&letter| letter.into())
+            };
+            Signal {
+                line: place.line,
+                states: self.rows.lights[place.light].iter().map(letter).collect(),
+            }
+        });
+        let has_others = self.rows.others.iter().any(|row| !row.is_empty());
+        Some(Recording {
             format: FORMAT,
-            scenario: task.scenario.name.clone(),
-            policy: policy.to_owned(),
-            seed,
+            scenario: title.environment.to_owned(),
+            policy: title.policy.to_owned(),
+            seed: title.seed,
             episode: self.episode,
-            step_length: task.scenario.control.interval,
-            agents: task.agents,
-            steps: self.rows.status.len() / task.agents,
-            comm_range: range.is_finite().then_some(range),
+            step_length: backdrop.step_length,
+            agents: self.agents,
+            steps: self.rows.status.len() / self.agents,
+            comm_range: backdrop.range.is_finite().then_some(backdrop.range),
             communicates: self.rows.graph,
-            vehicle: Size { length: vehicle.length, width: vehicle.width },
-            lanes: lanes.collect(),
-            walls: task.map.walls.corners().map(<[_]>::to_vec).collect(),
+            vehicle: Size { length, width },
+            lanes: backdrop.lanes.clone(),
+            walls: backdrop.walls.clone(),
             columns,
             status: STANDARD.encode(&self.rows.status),
             edges: Some(STANDARD.encode(&self.rows.edges)),
-            others: self.rows.others,
-            signals: signals(task, &net, &self.rows.lights),
+            signals: signals.collect(),
+            others: if has_others { self.rows.others } else { Vec::new() },
             summary: summary
                 .into_iter()
                 .flatten()
                 .map(|(key, value)| (key.to_owned(), value))
                 .collect(),
-        }))
+        })
     }
 }
 
-/// Returns the signals of the traffic lights in `lights`, which holds their states step by step in
-/// the task's order. The signals of one lane lie side by side, from the right.
-fn signals(task: &Task, net: &Net, lights: &[Vec<String>]) -> Vec<Signal> {
-    let known = |id: &str| task.map.traffic_lights.lights.iter().position(|light| light.id == id);
-    let mut all = Vec::new();
-    for (index, lane) in net.lanes.iter().enumerate() {
-        let mut own: Vec<(usize, usize)> = net
-            .connections_from(index)
-            .filter(|_| net.edges[lane.edge].function == EdgeFunction::Normal)
-            .filter_map(|connection| connection.signal)
-            .filter_map(|s| Some((known(&net.traffic_lights[s.traffic_light].id)?, s.index)))
-            .collect();
-        own.sort_unstable();
-        own.dedup();
-        let [.., before, end] = lane.shape[..] else { continue };
-        let (dx, dy) = (end[0] - before[0], end[1] - before[1]);
-        let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
-        // A point of the stop line, from the right end (0) to the left end (1).
-        let at = |share: f64| {
-            let left = (share - 0.5) * lane.width / length;
-            [end[0] - dy * left, end[1] + dx * left].map(|v| (100.0 * v).round() / 100.0)
-        };
-        let count = own.len() as f64;
-        all.extend(own.into_iter().zip(0..).map(|((light, signal), place)| {
-            Signal {
-                line: [at(f64::from(place) / count), at(f64::from(place + 1) / count)],
-                states: lights[light]
-                    .iter()
-                    .map(|state| state.as_bytes().get(signal).map_or('O', |&letter| letter.into()))
-                    .collect(),
-            }
-        }));
-    }
-    all
+/// What a recording says about its origin.
+#[derive(Debug, Clone, Copy)]
+pub struct Title<'a> {
+    /// Name of the environment, such as the scenario's.
+    pub environment: &'a str,
+    /// Name of the policy.
+    pub policy: &'a str,
+    /// Seed of the episodes.
+    pub seed: u64,
 }

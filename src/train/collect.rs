@@ -6,7 +6,7 @@ use super::noise::CorrelatedNoise;
 use super::{Error, Trainer, schedule, timed};
 use crate::algo::settings::NoiseMode;
 use crate::algo::{self, ActMode, Observation};
-use crate::env::VecEnv;
+use crate::env::Worlds;
 use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
 
@@ -35,13 +35,18 @@ impl Trainer {
         };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
-                store_row(&self.env, &self.memory, &mut self.rollout, t);
+                store_row(&*self.worlds, &self.memory, &mut self.rollout, t);
             });
             self.disturb_messages(t, &seed);
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 if correlated && t > 0 {
-                    renew(&mut noise, &self.env, s.actions, &seed.child("noise").index(t as u64));
+                    renew(
+                        &mut noise,
+                        &*self.worlds,
+                        s.actions,
+                        &seed.child("noise").index(t as u64),
+                    );
                 }
                 noise.advance(&mut rng);
                 let mut carried = Tensor::zeros([0], FLOAT);
@@ -74,11 +79,11 @@ impl Trainer {
             });
             self.memory = decision.memory;
             let actions = self.rollout.at(t, s.actions);
-            timed(&mut self.timers.simulate, || self.env.step(&self.rollout.action[actions]))?;
-            self.finished.extend(self.env.take_finished());
+            timed(&mut self.timers.simulate, || self.worlds.step(&self.rollout.action[actions]))?;
+            self.finished.extend(self.worlds.take_finished());
             timed(&mut self.timers.copy, || {
-                for (e, world) in self.env.worlds().enumerate() {
-                    let (frame, cell) = (world.frame(), self.rollout.cell(t, e, 1));
+                for e in 0..self.worlds.count() {
+                    let (frame, cell) = (self.worlds.view(e).frame, self.rollout.cell(t, e, 1));
                     self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
                     self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
                     self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
@@ -88,7 +93,7 @@ impl Trainer {
             });
         }
         timed(&mut self.timers.copy, || {
-            store_row(&self.env, &self.memory, &mut self.rollout, s.steps);
+            store_row(&*self.worlds, &self.memory, &mut self.rollout, s.steps);
         });
         self.disturb_messages(s.steps, &seed);
         if self.learner.graph_lasts() {
@@ -120,22 +125,23 @@ impl Trainer {
 
 /// Makes the noise of agents that departed in the middle of an episode independent of the agents
 /// that had their slots before.
-fn renew(noise: &mut CorrelatedNoise, env: &VecEnv, actions: usize, seed: &Seed) {
+fn renew(noise: &mut CorrelatedNoise, worlds: &dyn Worlds, actions: usize, seed: &Seed) {
     let mut first = 0;
-    for (e, world) in env.worlds().enumerate() {
-        for (i, start) in world.frame().start.iter().enumerate() {
-            if *start > 0.0 && world.step_count() > 0 {
+    for e in 0..worlds.count() {
+        let view = worlds.view(e);
+        for (i, start) in view.frame.start.iter().enumerate() {
+            if *start > 0.0 && view.step > 0 {
                 let at = first + i * actions;
                 noise.renew(at..at + actions, &mut seed.index(e as u64).index(i as u64).rng());
             }
         }
-        first += world.frame().start.len() * actions;
+        first += view.frame.start.len() * actions;
     }
 }
 
 /// Stores row `t` of the rollout: the worlds' frames before decision `t`, and the policy's memory.
-fn store_row(env: &VecEnv, memory: &Tensor, rollout: &mut Rollout, t: usize) {
-    algo::store_frames(env, rollout, t);
+fn store_row(worlds: &dyn Worlds, memory: &Tensor, rollout: &mut Rollout, t: usize) {
+    algo::store_frames(worlds, rollout, t);
     if rollout.sizes.memory > 0 {
         let range = rollout.at(t, rollout.sizes.memory);
         let count = range.len();
@@ -177,7 +183,7 @@ mod tests {
         (config.train.envs, config.train.rollout_steps) = (2, 6);
         let (correlation, log_std) =
             (config.learner.exploration.correlation, config.learner.exploration.log_std_start);
-        let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+        let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
         // The second rollout must contain nothing of the first.
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         trainer.collect(Seed::new(2)).expect("SUMO runs");
@@ -223,7 +229,7 @@ mod tests {
             let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
             assert_eq!(config.cannot_be_trained(), None);
             (config.train.envs, config.train.rollout_steps) = (2, 8);
-            let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+            let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
             trainer.collect(Seed::new(1)).expect("SUMO runs");
             let (n, comm) = (trainer.rollout.sizes.agents, &trainer.rollout.comm);
             let own = |pair: usize| pair / n % n == pair % n;
@@ -252,7 +258,7 @@ mod tests {
             let layers = Layers { sets, flags, ..Layers::default() };
             let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
             (config.train.envs, config.train.rollout_steps) = (2, 8);
-            let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+            let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
             trainer.collect(Seed::new(1)).expect("SUMO runs");
             trainer.iterate().expect("an update");
             let numbers = trainer.rollout.replaced;
@@ -271,7 +277,7 @@ mod tests {
         let (mut config, scenario) =
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
         (config.train.envs, config.train.rollout_steps) = (2, 8);
-        let mut trainer = Trainer::new(config, scenario).expect("a trainer");
+        let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         let rollout = &trainer.rollout;
         let row = |t: usize| {

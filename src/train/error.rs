@@ -11,6 +11,9 @@ pub enum Error {
     /// A world failed.
     #[error(transparent)]
     Env(#[from] env::Error),
+    /// The environment cannot be set up with these settings.
+    #[error(transparent)]
+    Environment(Box<dyn std::error::Error + Send + Sync>),
     /// The learner failed.
     #[error(transparent)]
     Algorithm(#[from] algo::Error),
@@ -57,17 +60,6 @@ pub enum Error {
     Locked {
         /// The folder.
         path: PathBuf,
-    },
-    /// The least number of agents in an episode exceeds the number of agents.
-    #[error(
-        "`train.fewest_agents`, the minimum number of agents in an episode, is {fewest}; allowed: 0 to {agents}, the number of agents{}",
-        if *agents == 0 { " that start at spawn places" } else { "" }
-    )]
-    TooFew {
-        /// The setting `train.fewest_agents`.
-        fewest: u32,
-        /// The setting `agents`.
-        agents: u32,
     },
     /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
     #[error(

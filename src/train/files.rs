@@ -9,11 +9,10 @@ use super::{Error, RunDir, Trainer};
 use crate::algo::Losses;
 use crate::checkpoint::Progress;
 use crate::config::Config;
-use crate::env::EpisodeRecord;
+use crate::env::{Environment, EpisodeRecord};
 use crate::evaluate::Evaluation;
 use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
-use crate::scenario::Scenario;
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
@@ -57,16 +56,17 @@ impl Files {
     pub(super) fn open(
         dir: &RunDir,
         config: &Config,
-        scenario: &Scenario,
+        environment: &dyn Environment,
         step: u64,
         validated: u64,
     ) -> Result<Self, Error> {
         std::fs::create_dir_all(dir.path().join("checkpoints"))
             .map_err(|source| Error::Folder { path: dir.path().to_owned(), source })?;
         record::write_atomic(&dir.config(), config.to_toml().as_bytes())?;
-        let path = dir.scenario();
-        let text = scenario.to_xml_in(dir.path()).map_err(record::Error::io("write", &path))?;
-        record::write_atomic(&path, text.as_bytes())?;
+        let text = environment.description(dir.path());
+        if let Some((name, text)) = text.map_err(record::Error::io("write", dir.path()))? {
+            record::write_atomic(&dir.path().join(name), text.as_bytes())?;
+        }
         let resumed = step > 0;
         let open = |path: PathBuf,
                     future: &dyn Fn(&JsonObject) -> bool|
@@ -132,19 +132,17 @@ impl Files {
                 ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
             ]);
         }
-        let (timers, resets) = (&trainer.timers, trainer.env.resets());
+        let timers = &trainer.timers;
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
-            ("resets/respawns", resets.respawns as f64),
-            ("resets/loads", resets.loads as f64),
-            ("resets/restarts", resets.restarts as f64),
             ("time/total_s", trainer.progress.seconds),
             ("time/simulate_s", timers.simulate),
             ("time/act_s", timers.act),
             ("time/copy_s", timers.copy),
             ("time/update_s", timers.update),
         ]);
+        values.extend(trainer.worlds.counters());
         self.write(trainer.progress.step, &values)?;
         Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
     }

@@ -1,65 +1,48 @@
 //! Sets up a run: learner, worlds and rollout, new or from a checkpoint.
 
-use std::sync::Arc;
-
 use tch::Tensor;
 
 use super::{Error, RunDir, Timers, Trainer, schedule};
 use crate::algo::{self, Settings};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::{self, Config};
-use crate::env::{Driver, Task, VecEnv, VecOptions};
+use crate::env::{Environment, Stream};
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
-use crate::scenario::Scenario;
 
 impl Trainer {
     pub(super) fn build(
         config: Config,
-        scenario: Scenario,
+        environment: Box<dyn Environment>,
         checkpoint: Option<&Checkpoint>,
     ) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
-        let mut task = Task::new(&scenario, config.agents)?;
-        if let Some(line) = task.left_out() {
-            tracing::warn!("{line}");
-        }
-        let fewest = config.train.fewest_agents;
-        let flow = scenario.agents.come_from_files();
-        let most = if flow { task.starting as u32 } else { config.agents };
-        if fewest > most {
-            return Err(Error::TooFew { fewest, agents: most });
-        }
-        if fewest > 0 {
-            task = task.with_fewest(fewest as usize);
-        }
-        let task = Arc::new(task);
+        let spec = environment.spec();
         let device = config.device.find()?;
         let settings = Settings { channel: config.channel, ..config.learner.clone() };
         let mut learner =
-            algo::build(&config.algorithm, &task.spec, &settings, seed.child("weights"), device)?;
-        let worlds = config.train.envs;
-        let options = VecOptions {
-            worlds,
-            driver: Driver::Agents,
+            algo::build(&config.algorithm, spec, &settings, seed.child("weights"), device)?;
+        let envs = config.train.envs;
+        let stream = Stream {
+            worlds: envs,
             seed: seed.child("episodes"),
             episodes: 0..u64::MAX,
             replay: config.train.repeat_failed,
-            hosting: config.hosting(),
+            beside: false,
         };
         let sizes = Sizes {
             steps: config.train.rollout_steps,
-            envs: worlds,
-            agents: task.agents,
-            observation: task.spec.observation.len(),
-            state: task.spec.state.len(),
-            actions: task.spec.actions.len(),
+            envs,
+            agents: spec.agents,
+            observation: spec.observation.len(),
+            state: spec.state.len(),
+            actions: spec.actions.len(),
             memory: learner.training_memory(),
             graphs: learner.graphs(),
         };
-        let shape = [worlds as i64, task.agents as i64, learner.training_memory() as i64];
-        let count = worlds * task.agents * learner.training_memory();
-        let (env, memory, progress) = match checkpoint {
+        let shape = [envs as i64, spec.agents as i64, learner.training_memory() as i64];
+        let count = envs * spec.agents * learner.training_memory();
+        let (worlds, memory, progress) = match checkpoint {
             None => {
                 let path = &config.init_from;
                 if !path.as_os_str().is_empty() {
@@ -75,18 +58,17 @@ impl Trainer {
                     next_validation: config.train.validate_every,
                     ..Progress::default()
                 };
-                (VecEnv::new(&task, &options)?, vec![0.0; count], first)
+                (environment.start(&stream)?, vec![0.0; count], first)
             }
             Some(stored) => {
                 same_run(&config, stored)?;
-                let width = task.agents * task.spec.actions.len();
+                let width = spec.agents * spec.actions.len();
                 let whole = stored.worlds.iter().all(|world| world.actions.len() % width == 0);
                 let carried = stored.learner.iter().find(|(name, _)| name == "critic_memory/last");
                 let fits = carried.is_none_or(|(_, t)| {
-                    t.size() == [(worlds * task.agents) as i64, config.learner.network.hidden]
+                    t.size() == [(envs * spec.agents) as i64, config.learner.network.hidden]
                 });
-                if stored.worlds.len() != worlds || stored.memory.len() != count || !whole || !fits
-                {
+                if stored.worlds.len() != envs || stored.memory.len() != count || !whole || !fits {
                     return Err(Error::OtherRun { key: other_shape(&config, stored) });
                 }
                 learner.load(&stored.learner)?;
@@ -95,19 +77,18 @@ impl Trainer {
                     .and_then(|t| t.get("steps")?.as_integer());
                 let mut progress = stored.progress.clone();
                 schedule::extended(&config, &mut progress, before.map_or(0, i64::cast_unsigned));
-                (VecEnv::restore(&task, &options, &stored.worlds)?, stored.memory.clone(), progress)
+                (environment.restore(&stream, &stored.worlds)?, stored.memory.clone(), progress)
             }
         };
         let mut rollout = Rollout::new(sizes);
-        rollout.cooperation = task.scenario.reward.cooperation;
+        rollout.cooperation = environment.cooperation();
         rollout.bootstrap_horizon = config.train.bootstrap_horizon;
         Ok(Self {
             rollout,
             memory: Tensor::from_slice(&memory).view(shape),
             config,
-            scenario,
-            task,
-            env,
+            environment,
+            worlds,
             learner,
             progress,
             seed,

@@ -6,8 +6,9 @@ use std::fs;
 use std::path::Path;
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap};
-use iwol_sumo::evaluate::{Evaluation, Policy};
+use iwol_sumo::evaluate::Evaluation;
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
 use iwol_sumo::stats::Estimate;

@@ -4,8 +4,9 @@
 
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Motion, Pose, Task};
-use iwol_sumo::evaluate::{Evaluation, Metrics, Policy};
+use iwol_sumo::evaluate::{Evaluation, Metrics};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 

@@ -4,8 +4,8 @@
 use std::fs;
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions};
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::{Backend, Hosting};

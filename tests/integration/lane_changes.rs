@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, Frame, Pursuit, Task, VecEnv, World};
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::author::import_configuration;
 use iwol_sumo::scenario::{LaneChange, Scenario};

@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use crate::support::root;
 
 /// Modules of the library, each with the modules that it may name.
-const ALLOWED: [(&str, &[&str]); 28] = [
+const ALLOWED: [(&str, &[&str]); 29] = [
     ("rng", &["fnv"]),
     ("fnv", &[]),
     ("markup", &[]),
@@ -29,7 +29,11 @@ const ALLOWED: [(&str, &[&str]); 28] = [
     ("checkpoint", &["env", "record"]),
     ("metrics", &["env", "provenance", "stats"]),
     ("curves", &["metrics", "plot", "record", "stats"]),
-    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "rollout", "sumo"]),
+    ("evaluate", &["algo", "env", "metrics", "replay", "rng", "rollout"]),
+    (
+        "driving",
+        &["checkpoint", "config", "env", "evaluate", "rng", "scenario", "sumo", "train"],
+    ),
     (
         "train",
         &[
@@ -44,7 +48,6 @@ const ALLOWED: [(&str, &[&str]); 28] = [
             "record",
             "rng",
             "rollout",
-            "scenario",
         ],
     ),
     ("sweep", &["config", "metrics", "record", "train"]),
@@ -52,7 +55,7 @@ const ALLOWED: [(&str, &[&str]); 28] = [
         "report",
         &["curves", "markup", "metrics", "plot", "provenance", "record", "stats", "sweep", "words"],
     ),
-    ("replay", &["env", "markup", "plot", "record", "sumo"]),
+    ("replay", &["env", "markup", "plot", "record"]),
     ("inspect", &["env", "markup", "plot", "rng", "scenario", "sumo", "words"]),
     ("cli", &[]),
     ("main", &[]),

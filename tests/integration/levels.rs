@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, Task, VecEnv, World};
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::sumo::domain::vehicle::Addition;

@@ -5,8 +5,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::Task;
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::inspect::Trial;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Choices, Error, Imported, Map, Sizes, Template, create, import};

@@ -6,6 +6,7 @@ use std::sync::atomic::AtomicBool;
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::{Checkpoint, Progress};
 use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::driving;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{RunDir, Trainer, TrainingEnd};
 use tch::{Kind, Tensor};
@@ -48,7 +49,7 @@ fn growing(algorithm: &str, encoder: &str) -> (Config, Scenario) {
 
 fn trainer(algorithm: &str, encoder: &str) -> Trainer {
     let (config, scenario) = growing(algorithm, encoder);
-    Trainer::new(config, scenario).expect("SUMO runs")
+    driving::trainer(config, &scenario).expect("SUMO runs")
 }
 
 /// Returns everything that determines the further course of a run, as bits.
@@ -123,9 +124,9 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         // Episodes with other numbers of agents would not match the stored actions.
         let mut other = config.clone();
         other.train.fewest_agents = 3;
-        let refused = Trainer::resume(other, scenario.clone(), &stored).err().expect("refused");
+        let refused = driving::resume(other, &scenario, &stored).err().expect("refused");
         assert!(refused.to_string().contains("train.fewest_agents"), "{refused}");
-        let mut second = Trainer::resume(config, scenario, &stored).expect("resumed");
+        let mut second = driving::resume(config, &scenario, &stored).expect("resumed");
         for _ in 0..2 {
             second.iterate().expect("an iteration");
         }
@@ -147,7 +148,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let dir = RunDir::new(folder.path().join("run"));
     let (config, scenario) = config("im-iwol", "mlp", 360);
     let stop = AtomicBool::new(false);
-    let mut trainer = Trainer::new(config.clone(), scenario.clone()).expect("SUMO runs");
+    let mut trainer = driving::trainer(config.clone(), &scenario).expect("SUMO runs");
     // Training is asked to stop during the first iteration, as by Ctrl-C.
     let outcome =
         trainer.run(&dir, &stop, &mut |_| stop.store(true, std::sync::atomic::Ordering::Relaxed));
@@ -159,7 +160,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     let text = std::fs::read_to_string(dir.metrics()).expect("metrics");
     std::fs::write(dir.metrics(), format!("{text}{{\"step\":12")).expect("written");
     let stop = AtomicBool::new(false);
-    let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
+    let mut trainer = driving::resume(config, &scenario, &stored).expect("resumed");
     assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), TrainingEnd::Finished);
     let steps: Vec<u64> = std::fs::read_to_string(dir.metrics())
         .expect("metrics")
@@ -177,7 +178,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     // A run of the same settings that was not stopped.
     let undisturbed = RunDir::new(folder.path().join("undisturbed"));
     let (config, scenario) = self::config("im-iwol", "mlp", 360);
-    let mut trainer = Trainer::new(config, scenario).expect("SUMO runs");
+    let mut trainer = driving::trainer(config, &scenario).expect("SUMO runs");
     assert_eq!(
         trainer.run(&undisturbed, &stop, &mut |_| {}).expect("trained"),
         TrainingEnd::Finished
@@ -208,7 +209,7 @@ fn a_stopped_run_goes_on_in_its_folder() {
     assert_eq!(stored.progress.validated, 360);
     stored.progress.validated = 240;
     let (config, scenario) = self::config("im-iwol", "mlp", 360);
-    let mut trainer = Trainer::resume(config, scenario, &stored).expect("resumed");
+    let mut trainer = driving::resume(config, &scenario, &stored).expect("resumed");
     assert_eq!(trainer.run(&dir, &stop, &mut |_| {}).expect("trained"), TrainingEnd::Finished);
     assert_eq!((recorded(dir.metrics()), recorded(dir.episodes())), before);
 }

@@ -14,8 +14,9 @@ use std::{
 
 use iwol_sumo::{
     algo::{self, Channel},
+    driving::{Policy, evaluate},
     env::{EpisodeRecord, Task},
-    evaluate::{EvaluationObserver, LearnedPolicy, Policy, evaluate},
+    evaluate::{EvaluationObserver, LearnedPolicy},
     rng::Seed,
     scenario::{
         AgentRange, Border, Communication, Control, Error, FileTime, Intention, Jitter, LaneChange,
@@ -243,6 +244,7 @@ fn every_shipped_scenario_is_for_every_method() {
                 stop: &stop,
                 report: &mut |_| stop.store(true, Ordering::Relaxed),
                 recorder: None,
+                beside: false,
             };
             let played =
                 evaluate(&task, &policy, 1, Seed::new(0), &Hosting::default(), observer).unwrap();

@@ -5,8 +5,8 @@ use std::sync::Arc;
 
 use rand::RngExt;
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, Task, World};
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::sumo::domain::vehicle::{Addition, Placement};
 use iwol_sumo::sumo::net::Net;

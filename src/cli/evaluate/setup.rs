@@ -96,7 +96,7 @@ impl Setup {
 
     /// Returns the policy of an ONNX file.
     pub(super) fn model(&self, file: &Path) -> anyhow::Result<Box<dyn Controller>> {
-        Ok(Box::new(OnnxPolicy::load(file, &self.task)?))
+        Ok(Box::new(OnnxPolicy::load(file, &self.task.spec)?))
     }
 }
 

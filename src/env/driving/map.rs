@@ -8,7 +8,6 @@ use rayon::prelude::*;
 
 use super::agents::Slot;
 use super::detour::path_around;
-use super::error::Error;
 use super::forks::Forks;
 use super::geometry::Size;
 use super::lane_routes::LaneRoutes;
@@ -17,6 +16,7 @@ use super::occlusion::Walls;
 use super::road::Road;
 use super::routes::{RouteGeometry, geometry};
 use super::signals::TrafficLights;
+use crate::env::error::Error;
 use crate::scenario::{Demand, DemandPlan, LaneChange, Occlusion, Scenario};
 use crate::sumo::net::{EdgeFunction, Foes, Net, Path};
 

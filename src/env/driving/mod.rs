@@ -10,8 +10,7 @@ mod conflicts;
 mod departure;
 mod detour;
 mod effects;
-mod episode;
-mod error;
+
 mod failures;
 mod foresight;
 mod forks;
@@ -27,7 +26,7 @@ mod metrics;
 mod motion;
 mod observation;
 mod occlusion;
-mod order;
+
 mod refusals;
 mod reward;
 pub(super) mod right_of_way;
@@ -39,6 +38,7 @@ mod spawn;
 mod state;
 mod surface;
 pub(super) mod task;
+mod traffic;
 mod trip;
 mod trips;
 mod vec;
@@ -52,17 +52,17 @@ pub use agents::Outcome;
 pub use audit::Audit;
 pub use comm::physical_mask;
 pub use effects::MAX_TIME_APART;
-pub use episode::WorldState;
-pub use error::Error;
+
 pub use failures::Failures;
-pub use frame::{AgentView, Frame, OtherView};
+pub use frame::{AgentView, OtherView};
 pub use geometry::{Pose, Size, boxes_overlap};
 pub use map::{Map, RoutePosition};
 pub use metrics::{BackgroundMetrics, EpisodeRecord};
-pub use order::Position;
+
 pub use refusals::Refused;
 pub use routes::{Conflict, RouteGeometry, Strip};
 pub use task::{Driver, Task};
+pub use traffic::Traffic;
 pub use trips::FlowMetrics;
 pub use vec::{Resets, VecEnv, VecOptions};
 pub use vehicle::longitudinal::{acceleration, advance};

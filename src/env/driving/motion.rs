@@ -1,12 +1,12 @@
 //! Motion of the agents: turns actions into SUMO's commands, and SUMO's snapshots into poses.
 
 use super::agents::{Slot, Status, Track};
-use super::error::Error;
 use super::geometry::Pose;
 use super::lane_routes::Side;
 use super::map::RoutePosition;
 use super::task::{Driver, Task};
 use super::vehicle::longitudinal;
+use crate::env::error::Error;
 use crate::scenario::LaneChange;
 use crate::sumo::{Body, Command, Snapshot};
 

@@ -2,8 +2,8 @@
 
 use std::collections::{HashMap, hash_map::Entry};
 
-use super::error::Error;
 use super::task::{Driver, Task};
+use crate::env::error::Error;
 use crate::scenario::LeftOut;
 use crate::sumo::{self, Backend, Command, Departure, Hosting};
 

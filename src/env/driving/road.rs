@@ -3,9 +3,9 @@
 
 use std::collections::{BTreeSet, HashMap};
 
-use super::error::Error;
 use super::geometry::{Pose, Size, Stance, stretch};
 use super::surface::{BESIDE, End, Point, Strip, draw_lines, lay_lanes};
+use crate::env::error::Error;
 use crate::scenario::{Border, Termination};
 use crate::sumo::net::Net;
 

@@ -3,11 +3,11 @@
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
-use super::error::Error;
 use super::geometry::Size;
 use super::layout::Layout;
 use super::map::Map;
 use super::{observation, state};
+use crate::env::error::Error;
 use crate::env::spec::{ActionDimension, EnvSpec};
 use crate::scenario::{
     Control, Demand, Finish, LaneChange, PlannedDeparture, PlannedSource, Scenario, Source,

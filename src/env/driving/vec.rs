@@ -8,11 +8,12 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use super::episode::WorldState;
-use super::error::Error;
 use super::metrics::EpisodeRecord;
 use super::task::{Driver, Task};
 use super::world::World;
+use crate::env::episode::WorldState;
+use crate::env::error::Error;
+use crate::env::expert::Pursuit;
 use crate::env::spec::EnvSpec;
 use crate::rng::Seed;
 use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
@@ -74,6 +75,8 @@ pub struct VecEnv {
     task: Arc<Task>,
     hosts: Vec<Host>,
     worlds: usize,
+    /// The rule whose actions [`Worlds::follow_rule`](crate::env::Worlds::follow_rule) writes.
+    rule: Option<Pursuit>,
 }
 
 impl VecEnv {
@@ -181,7 +184,17 @@ impl VecEnv {
                 })
             })
             .collect::<Result<Vec<_>, Error>>()?;
-        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds })
+        Ok(Self { task: Arc::clone(task), hosts, worlds: options.worlds, rule: None })
+    }
+
+    /// Returns the same worlds, with a rule whose actions
+    /// [`Worlds::follow_rule`](crate::env::Worlds::follow_rule) writes.
+    pub(super) fn with_rule(self, rule: Option<Pursuit>) -> Self {
+        Self { rule, ..self }
+    }
+
+    pub(super) fn rule(&self) -> Option<Pursuit> {
+        self.rule
     }
 
     /// Returns the shapes and features.
@@ -214,6 +227,16 @@ impl VecEnv {
     /// Returns the worlds in order.
     pub fn worlds(&self) -> impl Iterator<Item = &World> {
         self.hosts.iter().flat_map(|host| &host.worlds)
+    }
+
+    /// Returns world `e`.
+    ///
+    /// # Panics
+    /// If there are not as many worlds.
+    pub fn world(&self, e: usize) -> &World {
+        let host = self.hosts.partition_point(|host| host.first <= e) - 1;
+        let host = &self.hosts[host];
+        &host.worlds[e - host.first]
     }
 
     fn worlds_mut(&mut self) -> impl Iterator<Item = &mut World> {

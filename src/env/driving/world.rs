@@ -14,9 +14,7 @@ use std::sync::Arc;
 use super::agents::{Slot, Traffic};
 use super::background::Background;
 use super::collisions::Collisions;
-use super::episode::{Episode, Phase, WorldState};
-use super::error::Error;
-use super::frame::{AgentView, Frame, OtherView};
+use super::frame::{AgentView, OtherView};
 use super::geometry::Pose;
 use super::intention::Intentions;
 use super::loitering::{self, Loitering};
@@ -28,6 +26,9 @@ use super::signals::Signals;
 use super::spawn::Spawned;
 use super::task::{Driver, Task};
 use super::trips::Trips;
+use crate::env::episode::{Episode, Phase, WorldState};
+use crate::env::error::Error;
+use crate::env::frame::Frame;
 use crate::rng::Seed;
 use crate::sumo::{Command, Snapshot};
 
@@ -88,7 +89,7 @@ impl World {
             loitering: vec![Loitering::default(); n],
             trips: Trips::default(),
             distance: 0.0,
-            frame: Frame::new(&task),
+            frame: Frame::new(&task.spec, task.scenario.reward.share_range.is_finite()),
             finished: None,
             poses: vec![Pose::default(); n],
             present: vec![false; n],

@@ -5,8 +5,8 @@ use std::fs;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 
+use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, Task, World};
-use iwol_sumo::evaluate::Policy;
 use iwol_sumo::inspect::{Trial, page, picture};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::author::{Error, Sizes, State, Template, build, create};

@@ -1,6 +1,7 @@
 //! Tests of rewards and of what becomes of a vehicle that crashed.
 
 use super::*;
+use crate::env::Frame;
 
 /// Plays an episode in which slot 0 drives at full throttle on a free lane and the other slots
 /// stand. Returns the task, the frames, the front's first position of slot 0 \[m\], and the

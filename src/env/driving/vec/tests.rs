@@ -99,7 +99,7 @@ fn scripted(script: &[Answer]) -> VecEnv {
         loads: 0,
         restarts: 0,
     };
-    VecEnv { task, hosts: vec![host], worlds: 2 }
+    VecEnv { task, hosts: vec![host], worlds: 2, rule: None }
 }
 
 fn episodes(env: &VecEnv) -> Vec<u64> {

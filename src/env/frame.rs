@@ -1,0 +1,73 @@
+//! What learners get to see of a world.
+
+use super::spec::EnvSpec;
+
+/// What a world gives to agents and learners after an exchange. Reused from step to step.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Observations, `[N, O]`; zeros where no agent is present.
+    pub observation: Vec<f32>,
+    /// Privileged states, `[N, S]`; zeros where no agent is present.
+    pub state: Vec<f32>,
+    /// Physical mask G_p, `[N, N]`: 1 where two agents are within the communication range and, if
+    /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that are
+    /// present.
+    pub comm: Vec<f32>,
+    /// `[N]`, 1 where an agent acts in the coming step.
+    pub active: Vec<f32>,
+    /// `[N]`, 1 where a slot's new trajectory starts with this frame, so that memories are cleared:
+    /// in all slots with a new episode, and in the slot of an agent that departs later.
+    pub start: Vec<f32>,
+    /// `[N]`, each agent's own reward of the last step.
+    pub reward: Vec<f32>,
+    /// Which agents share in each other's advantages, `[N, N]`: 1 where they are no further apart
+    /// than the environment's share range. Empty if the scenario has no share range and all agents
+    /// share.
+    pub sharing: Vec<f32>,
+    /// `[N]`, 1 where the last step ended an agent's trajectory by arrival or failure.
+    pub terminated: Vec<f32>,
+    /// `[N]`, 1 where the last step truncated an agent's trajectory: at the horizon, or because
+    /// the simulation broke off.
+    pub truncated: Vec<f32>,
+    /// Whether the simulation broke off in the last step.
+    pub interrupted: bool,
+}
+
+impl Frame {
+    /// Returns the frame of a world without agents. `shares`: whether not all agents share in each
+    /// other's advantages.
+    pub(super) fn new(spec: &EnvSpec, shares: bool) -> Self {
+        let n = spec.agents;
+        Self {
+            observation: vec![0.0; n * spec.observation.len()],
+            state: vec![0.0; n * spec.state.len()],
+            comm: vec![0.0; n * n],
+            active: vec![0.0; n],
+            start: vec![0.0; n],
+            reward: vec![0.0; n],
+            sharing: vec![0.0; if shares { n * n } else { 0 }],
+            terminated: vec![0.0; n],
+            truncated: vec![0.0; n],
+            interrupted: false,
+        }
+    }
+
+    /// Begins the frame after a respawn (`start`) or a step: nobody has ended yet.
+    pub(super) fn begin(&mut self, start: bool) {
+        self.start.fill(f32::from(u8::from(start)));
+        self.terminated.fill(0.0);
+        self.truncated.fill(0.0);
+    }
+
+    /// Truncates all active agents because the simulation broke off.
+    pub(super) fn interrupt(&mut self) {
+        for (truncated, active) in self.truncated.iter_mut().zip(&mut self.active) {
+            *truncated = *active;
+            *active = 0.0;
+        }
+        self.reward.fill(0.0);
+        self.terminated.fill(0.0);
+        self.start.fill(0.0);
+        self.interrupted = true;
+    }
+}
