@@ -2,7 +2,6 @@
 
 use tch::{Device, Kind, Tensor};
 
-use super::radio::Radio;
 use crate::rollout::Rollout;
 
 /// The input of a policy at one decision.
@@ -47,11 +46,10 @@ impl Observation {
         self.start.ones_like() - &self.start
     }
 
-    /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the
-    /// messages that are under way in the radio, or the old memory where there is neither.
-    pub(super) fn memory_after(&self, encoder: Option<Tensor>, radio: Option<&Radio>) -> Tensor {
-        let kept = || radio.map_or_else(|| self.memory.shallow_clone(), |radio| radio.after(self));
-        encoder.map_or_else(kept, |memory| memory.view_as(&self.memory))
+    /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the old
+    /// memory where the encoder has none.
+    pub(super) fn memory_after(&self, encoder: Option<Tensor>) -> Tensor {
+        encoder.map_or_else(|| self.memory.shallow_clone(), |memory| memory.view_as(&self.memory))
     }
 
     /// Returns this input with the memory `memory`.
@@ -96,11 +94,6 @@ pub enum ActMode<'a> {
 }
 
 impl ActMode<'_> {
-    /// Returns the radio of training, through which messages pass while a policy explores.
-    pub(super) fn radio<'a>(&self, radio: Option<&'a Radio>) -> Option<&'a Radio> {
-        radio.filter(|_| matches!(self, Self::Sample { .. }))
-    }
-
     /// Returns the noise of the graphs; `None` for the most likely graphs.
     pub(super) fn graph_noise(&self) -> Option<&Tensor> {
         match self {

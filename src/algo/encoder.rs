@@ -169,5 +169,5 @@ pub(super) fn encode_shard(
 /// decision, `[E, N, M]`.
 pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
-    (f, input.memory_after(memory, None))
+    (f, input.memory_after(memory))
 }

@@ -90,12 +90,12 @@ impl Networks for ExIwol {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let radio = mode.radio(self.radio.as_ref());
+        let radio = Radio::in_use(self.radio.as_ref(), mode);
         let messages = self.trunk.forward(&Scene::of(input, mode.graph_noise()), radio);
         let read =
             messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        Decision { action, log_prob, memory: input.memory_after(messages.memory, radio) }
+        Decision { action, log_prob, memory: Radio::memory_after(radio, input, messages.memory) }
     }
 
     fn message_width(&self) -> i64 {

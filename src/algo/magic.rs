@@ -114,7 +114,7 @@ impl Magic {
     /// Computes the messages. They pass through the radio of training, or arrive as they were sent.
     fn exchange(&self, scene: &Scene, radio: Option<&Radio>) -> Messages {
         if let Some(radio) = radio {
-            return scene.through(&self.encoder, radio, |known, arrived| {
+            return radio.exchange(&self.encoder, scene, |known, arrived| {
                 let (made, [first, second]) =
                     self.read(known, &scene.comm, arrived, scene.noise.as_ref());
                 (made, first.maximum(&second))
@@ -182,12 +182,12 @@ impl Networks for Magic {
     }
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        let radio = mode.radio(self.radio.as_ref());
+        let radio = Radio::in_use(self.radio.as_ref(), mode);
         let Messages { message, embedding, packing, memory, .. } =
             self.exchange(&Scene::of(input, mode.graph_noise()), radio);
         let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
         let (action, log_prob) = self.head.sample(&read, mode);
-        Decision { action, log_prob, memory: input.memory_after(memory, radio) }
+        Decision { action, log_prob, memory: Radio::memory_after(radio, input, memory) }
     }
 
     fn radio(&self) -> Option<&Radio> {

@@ -71,7 +71,7 @@ impl MessageTrunk {
             return (
                 heard.packing.unpack(&heard.message),
                 heard.packing.unpack(&heard.embedding),
-                input.memory_after(heard.memory, None),
+                input.memory_after(heard.memory),
             );
         }
         exchange(&self.encoder, input, channel, noise, |known, arrived| {
@@ -109,7 +109,7 @@ impl MessageTrunk {
     /// were sent.
     pub(super) fn forward(&self, scene: &Scene, radio: Option<&Radio>) -> Messages {
         if let Some(radio) = radio {
-            return scene.through(&self.encoder, radio, |known, arrived| {
+            return radio.exchange(&self.encoder, scene, |known, arrived| {
                 self.read(known, &scene.comm, arrived, scene.noise.as_ref())
             });
         }

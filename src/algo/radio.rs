@@ -11,9 +11,9 @@ use rand::RngExt as _;
 use tch::{Device, Kind, Tensor, no_grad};
 
 use super::channel::{Channel, Heard};
-use super::decision::Observation;
+use super::decision::{ActMode, Observation};
 use super::encoder::Encoder;
-use super::scene::Scene;
+use super::scene::{Messages, Scene};
 use super::settings::Settings;
 use crate::rng::{self, Rng, Seed};
 
@@ -55,11 +55,25 @@ impl Radio {
         self.channel.memory(self.observation as usize) as i64
     }
 
-    /// Returns the memory after a decision, `[E, N, M]`.
-    pub(super) fn after(&self, input: &Observation) -> Tensor {
-        if self.channel.delay == 0 {
-            return input.memory.shallow_clone();
+    /// Returns the radio if messages pass through it in a decision: while a policy explores.
+    pub(super) fn in_use<'a>(radio: Option<&'a Self>, mode: &ActMode<'_>) -> Option<&'a Self> {
+        radio.filter(|_| matches!(mode, ActMode::Sample { .. }))
+    }
+
+    /// Returns the memory after a decision, `[E, N, M]`: what the `encoder` remembers, or the
+    /// messages that are under way.
+    pub(super) fn memory_after(
+        radio: Option<&Self>,
+        input: &Observation,
+        encoder: Option<Tensor>,
+    ) -> Tensor {
+        match radio.filter(|radio| radio.channel.delay > 0) {
+            Some(radio) => radio.after(input),
+            None => input.memory_after(encoder),
         }
+    }
+
+    fn after(&self, input: &Observation) -> Tensor {
         let past = &input.memory * input.keep().unsqueeze(-1);
         let queue = past.narrow(2, 1, self.memory() - 1);
         let queue = Tensor::cat(&[&queue, &input.observation], -1);
@@ -67,9 +81,33 @@ impl Radio {
         Tensor::cat(&[&(past.narrow(2, 0, 1) + 1.0), &rest], -1)
     }
 
+    /// Computes a message path whose messages pass through the radio. `read` maps the embeddings
+    /// that each receiver knows, `[rows · N, N, H]`, and 1 where one arrived, `[rows · N, 1, N]`, to
+    /// the receivers' messages `[rows · N, D]` and to their rows of the graph, `[rows · N, N]`.
+    pub(super) fn exchange(
+        &self,
+        encoder: &Encoder,
+        scene: &Scene,
+        read: impl Fn(&Tensor, &Tensor) -> (Tensor, Tensor),
+    ) -> Messages {
+        let (rows, agents) = scene.size();
+        let (f, memory) = scene.embed(encoder);
+        let Heard { embedding, arrived } = self.hear(encoder, scene, &f);
+        let arrived = arrived.reshape([rows * agents, 1, agents]);
+        let (made, graph) = read(&embedding.flatten(0, 1), &arrived);
+        let packing = scene.packing();
+        Messages {
+            message: packing.pack(&made.view([rows, agents, -1])),
+            embedding: packing.pack(&f),
+            graph: graph.view([rows, agents, agents]),
+            packing,
+            memory,
+        }
+    }
+
     /// Returns what each agent of a scene hears of every agent, whose present embeddings are
     /// `f [rows, N, H]`.
-    pub(super) fn hear(&self, encoder: &Encoder, scene: &Scene, f: &Tensor) -> Heard {
+    fn hear(&self, encoder: &Encoder, scene: &Scene, f: &Tensor) -> Heard {
         let (sent, silent) = self.sent(encoder, scene, f);
         // The gradient of rounding is that of its argument.
         let sent = no_grad(|| self.channel.rounded(&sent)) + (&sent - sent.detach());

@@ -3,10 +3,8 @@
 use tch::Tensor;
 
 use super::batch::{Batch, Shard};
-use super::channel::Heard;
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
-use super::radio::Radio;
 use crate::nn::Packing;
 
 /// Rows `[L · C]` of C sequences of L steps, with all N agents.
@@ -20,7 +18,7 @@ pub(super) struct Scene {
     /// Physical masks, `[L · C, N, N]`.
     pub(super) comm: Tensor,
     /// The number of the false message that each agent hears from another, counted from 1, or 0,
-    /// `[L · C, N, N]`; see [`radio`](super::radio).
+    /// `[L · C, N, N]`; see `radio.rs`.
     pub(super) replaced: Option<Tensor>,
     /// Noise of the communication graphs, `[L · C, N, G · N]`; without it, graphs are the most
     /// likely ones.
@@ -134,31 +132,6 @@ impl Scene {
         }
         let (f, memories) = self.embed(encoder);
         (packing.pack(&f), memories)
-    }
-
-    /// Computes a message path in which messages pass through the radio of training.
-    /// `read` maps the embeddings that each receiver knows, `[rows · N, N, H]`, and 1 where one
-    /// arrived, `[rows · N, 1, N]`, to the receivers' messages `[rows · N, D]` and to their rows of
-    /// the graph, `[rows · N, N]`.
-    pub(super) fn through(
-        &self,
-        encoder: &Encoder,
-        radio: &Radio,
-        read: impl Fn(&Tensor, &Tensor) -> (Tensor, Tensor),
-    ) -> Messages {
-        let (rows, agents) = self.size();
-        let (f, memory) = self.embed(encoder);
-        let Heard { embedding, arrived } = radio.hear(encoder, self, &f);
-        let arrived = arrived.reshape([rows * agents, 1, agents]);
-        let (made, graph) = read(&embedding.flatten(0, 1), &arrived);
-        let packing = self.packing();
-        Messages {
-            message: packing.pack(&made.view([rows, agents, -1])),
-            embedding: packing.pack(&f),
-            graph: graph.view([rows, agents, agents]),
-            packing,
-            memory,
-        }
     }
 
     /// Returns `count` rows from row `first` on; rows must be single steps.

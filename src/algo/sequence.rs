@@ -251,6 +251,6 @@ impl Sequence {
             log_probs.push(log_prob);
         }
         let (action, log_prob) = (Tensor::cat(&actions, 1), Tensor::cat(&log_probs, 1));
-        Decision { action, log_prob, memory: input.memory_after(memory, None) }
+        Decision { action, log_prob, memory: input.memory_after(memory) }
     }
 }

@@ -30,10 +30,7 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("metrics", &["env", "provenance", "stats"]),
     ("curves", &["metrics", "plot", "record", "stats"]),
     ("evaluate", &["algo", "env", "metrics", "replay", "rng", "rollout"]),
-    (
-        "driving",
-        &["checkpoint", "config", "env", "evaluate", "rng", "scenario", "sumo", "train"],
-    ),
+    ("driving", &["checkpoint", "config", "env", "evaluate", "rng", "scenario", "sumo", "train"]),
     (
         "train",
         &[
