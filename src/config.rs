@@ -194,16 +194,16 @@ impl Config {
     /// Default of [`Config::steps`]: a limit. Without steering, most runs stop long before it.
     const STEPS: u64 = 1_200_000;
 
-    /// Returns the declared defaults, with the values in the scenario's file.
-    fn declared(file: &ScenarioFile) -> Self {
+    /// Returns the declared defaults, with the values in the scenario's file if there is one.
+    fn declared(file: Option<&ScenarioFile>, agents: u32) -> Self {
         Self {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
-            agents: file.scenario.agents.default,
+            agents: file.map_or(agents, |file| file.scenario.agents.default),
             seed: 0,
             steps: Self::STEPS,
             device: algo::ComputeDevice::Cpu,
             init_from: PathBuf::new(),
-            scenario: ScenarioSettings::of(file),
+            scenario: file.map_or_else(ScenarioSettings::none, ScenarioSettings::of),
             train: Train::default(),
             simulation: Simulation::default(),
             learner: algo::Settings::default(),

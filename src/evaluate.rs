@@ -206,14 +206,18 @@ mod tests {
     use serde_json::Value;
 
     use super::*;
+    use crate::env::DrivingRecord;
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
         EpisodeRecord {
             episode,
             episode_length: rewards.len() as u32,
             success: 1.0,
-            safety: 1.0,
-            distance_km: 0.5,
+            driving: Some(DrivingRecord {
+                safety: 1.0,
+                distance_km: 0.5,
+                ..DrivingRecord::default()
+            }),
             step_rewards: rewards.to_vec(),
             ..EpisodeRecord::default()
         }
@@ -234,7 +238,8 @@ mod tests {
 
     #[test]
     fn kilometres_and_crashes_are_those_of_all_episodes() {
-        let crashed = EpisodeRecord { crashes: 2, distance_km: 1.5, ..record(1, &[1.0; 1000]) };
+        let driving = DrivingRecord { crashes: 2, distance_km: 1.5, ..DrivingRecord::default() };
+        let crashed = EpisodeRecord { driving: Some(driving), ..record(1, &[1.0; 1000]) };
         let of = |episodes: Vec<EpisodeRecord>| {
             let evaluation = Evaluation {
                 episodes,
@@ -242,7 +247,7 @@ mod tests {
                 reconstruction: Vec::new(),
                 message_bits: Vec::new(),
             };
-            evaluation.metrics().expect("episodes").km_per_crash.expect("they moved")
+            evaluation.metrics().expect("episodes").driving().km_per_crash.expect("they moved")
         };
         let found = of(vec![record(0, &[1.0; 1000]), crashed]);
         assert_eq!((found.km, found.crashes, found.estimate.mean), (2.0, 2, 1.0));

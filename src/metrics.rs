@@ -8,11 +8,12 @@
 mod metric;
 mod result;
 
+use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use serde::{Deserialize, Serialize};
 
-use crate::env::{Audit, BackgroundMetrics, EpisodeRecord, Failures, FlowMetrics};
+use crate::env::{Audit, BackgroundMetrics, DrivingRecord, EpisodeRecord, Failures, FlowMetrics};
 use crate::stats::Estimate;
 
 use metric::{
@@ -30,7 +31,12 @@ pub const SUCCESS: &Metric = &Metrics::REGISTERED[0];
 
 /// Returns all metrics, in the order of tables.
 pub fn all() -> impl Iterator<Item = &'static Metric> {
-    Metrics::REGISTERED.iter().chain(FlowSummary::REGISTERED).chain(BackgroundSummary::REGISTERED)
+    let (success, others) = Metrics::REGISTERED.split_at(1);
+    (success.iter())
+        .chain(DrivingMetrics::REGISTERED)
+        .chain(others)
+        .chain(FlowSummary::REGISTERED)
+        .chain(BackgroundSummary::REGISTERED)
 }
 
 /// Returns the metrics that an output shows, if results contain them.
@@ -91,23 +97,7 @@ metrics! {
     metrics: {
         success: Estimate = |e| e.rate(|r| r.success),
             "success", "agents that arrive (%)", PERCENT, Higher, Everywhere,
-            "Share of agents that arrived.";
-        safety: Estimate = |e| e.rate(|r| r.safety),
-            "safety", "agents that do not crash (%)", PERCENT, Higher, Everywhere,
-            "Share of agents that neither crashed nor went off-road.";
-        crash: Estimate = |e| e.rate(|r| r.crash),
-            "crash", "agents that crash (%)", PERCENT, Lower, InTables,
-            "Share of agents that crashed.";
-        out_of_road: Estimate = |e| e.rate(|r| r.out_of_road),
-            "off-road", "agents off-road (%)", PERCENT, Lower, InEvaluations,
-            "Share of agents that went off-road.";
-        unfinished: Estimate = |e| e.rate(|r| r.unfinished),
-            "unfinished", "agents that do not finish (%)", PERCENT, Lower, InEvaluations,
-            "Share of agents that had neither arrived nor failed at the end of the episode.";
-        delay: Option<Estimate> = |e| Estimate::t(&e.known(|r| r.delay)),
-            "delay", "delay of an agent that arrives (s)", SECONDS, Lower, InTables,
-            "Time that an agent that arrives takes longer than it would alone, at full throttle \
-             from its departure time; for agents from spawn places, mean over an episode's agents.";
+            "Share of agents that reached their goal; of vehicles, of those that arrived.";
         reward: Estimate = |e| e.mean(|r| r.reward),
             "reward", "reward per agent and episode", NUMBER, Higher, InEvaluations,
             "Reward per agent and episode.";
@@ -119,28 +109,61 @@ metrics! {
         episode_length: Estimate = |e| e.mean(|r| f64::from(r.episode_length)),
             "episode length", "steps", COUNT, Neither, InEvaluations,
             "Length of an episode in steps.";
-        efficiency: Estimate = |e| e.mean(|r| r.efficiency),
-            "efficiency", "agents per step", FINE, Higher, InEvaluations,
-            "(success − danger) · N / steps, in agents per step; danger is the share of agents \
-             that crashed or went off-road.";
-        sumo_collisions: Estimate = |e| e.mean(|r| f64::from(r.sumo_collisions)),
-            "SUMO collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
-            "Colliding pairs per episode in SUMO's report.";
-        own_collisions: Estimate = |e| e.mean(|r| f64::from(r.own_collisions)),
-            "collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
-            "Colliding pairs per episode by our own box test.";
         message_bits: Option<Estimate> = |e| Estimate::t(e.message_bits),
             "bits sent", "bits per decision and vehicle", COUNT, Neither, InTables,
             "Bits that a vehicle sends per decision, for methods with messages: the width of a message \
              times `channel.bits`, and 32 for its scale where it is rounded; nothing while nobody is in range.";
-        loitering: Estimate = |e| e.rate(|r| r.loitering),
+    }
+    more: {
+        /// Metrics of vehicles; `None` in environments without them.
+        #[serde(flatten, skip_serializing_if = "Option::is_none")]
+        pub driving: Option<DrivingMetrics>,
+        /// Metrics that the environment defines by itself, by name.
+        #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+        pub own: BTreeMap<String, Estimate>,
+        /// How well the policy's latent predicts its targets; empty for policies without a latent.
+        pub reconstruction: Vec<Knowledge>,
+    }
+}
+
+metrics! {
+    /// Metrics of vehicles; see [`DrivingRecord`] for the definitions.
+    DrivingMetrics, of: Drives<'_>, ids: "", part: |metrics| metrics.driving.as_ref(),
+    metrics: {
+        safety: Estimate = |d| d.rate(|r| r.safety),
+            "safety", "agents that do not crash (%)", PERCENT, Higher, Everywhere,
+            "Share of agents that neither crashed nor went off-road.";
+        crash: Estimate = |d| d.rate(|r| r.crash),
+            "crash", "agents that crash (%)", PERCENT, Lower, InTables,
+            "Share of agents that crashed.";
+        out_of_road: Estimate = |d| d.rate(|r| r.out_of_road),
+            "off-road", "agents off-road (%)", PERCENT, Lower, InEvaluations,
+            "Share of agents that went off-road.";
+        unfinished: Estimate = |d| d.rate(|r| r.unfinished),
+            "unfinished", "agents that do not finish (%)", PERCENT, Lower, InEvaluations,
+            "Share of agents that had neither arrived nor failed at the end of the episode.";
+        delay: Option<Estimate> = |d| Estimate::t(&d.known(|r| r.delay)),
+            "delay", "delay of an agent that arrives (s)", SECONDS, Lower, InTables,
+            "Time that an agent that arrives takes longer than it would alone, at full throttle \
+             from its departure time; for agents from spawn places, mean over an episode's agents.";
+        efficiency: Estimate = |d| d.mean(|r| r.efficiency),
+            "efficiency", "agents per step", FINE, Higher, InEvaluations,
+            "(success − danger) · N / steps, in agents per step; danger is the share of agents \
+             that crashed or went off-road.";
+        sumo_collisions: Estimate = |d| d.mean(|r| f64::from(r.sumo_collisions)),
+            "SUMO collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
+            "Colliding pairs per episode in SUMO's report.";
+        own_collisions: Estimate = |d| d.mean(|r| f64::from(r.own_collisions)),
+            "collisions", "colliding pairs", FINE_COUNT, Lower, InEvaluations,
+            "Colliding pairs per episode by our own box test.";
+        loitering: Estimate = |d| d.rate(|r| r.loitering),
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
             "Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at \
              most 15 m from their finish and with nobody ahead.";
-        red_lights: Option<Estimate> = |e| Estimate::t(&e.known(|r| r.red_lights)),
+        red_lights: Option<Estimate> = |d| Estimate::t(&d.known(|r| r.red_lights)),
             "red light violations", "red signals passed per agent", FINE_COUNT, Lower, InFigures,
             "Red signals that an agent passes, in tasks with signals.";
-        km_per_crash: Option<KmPerCrash> = |e| e.km_per_crash(),
+        km_per_crash: Option<KmPerCrash> = |d| d.km_per_crash(),
             "km per crash", "km per crash", KILOMETRES, Higher, InEvaluations,
             "Distance that the agents drove per crash, over all episodes together, with the \
              exact interval of a Poisson count. Without a crash there is only a lower bound.";
@@ -156,15 +179,13 @@ metrics! {
         /// Effects on background traffic and pedestrians; `None` in tasks without them.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub others: Option<BackgroundSummary>,
-        /// How well the policy's latent predicts its targets; empty for policies without a latent.
-        pub reconstruction: Vec<Knowledge>,
     }
 }
 
 metrics! {
     /// Flow of the agents from route files; see [`FlowMetrics`] for the definitions.
     FlowSummary,
-    of: Vec<FlowMetrics>, ids: "flow.", part: |metrics| metrics.flow.as_ref(),
+    of: Vec<FlowMetrics>, ids: "flow.", part: |metrics| metrics.driving.as_ref()?.flow.as_ref(),
     metrics: {
         throughput: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.arrived) / f.hours),
             "arrivals per hour", "agents that arrive per hour", NUMBER, Higher, InFigures,
@@ -214,7 +235,7 @@ metrics! {
     /// definitions. Shares and means are over the episodes that contain vehicles, or pedestrians;
     /// `None` without such episodes.
     BackgroundSummary,
-    of: Vec<BackgroundMetrics>, ids: "others.", part: |metrics| metrics.others.as_ref(),
+    of: Vec<BackgroundMetrics>, ids: "others.", part: |metrics| metrics.driving.as_ref()?.others.as_ref(),
     metrics: {
         vehicles: Estimate = |o| mean(o, |_| true, |o| f64::from(o.vehicles)).unwrap_or_default(),
             "background vehicles", "background vehicles", COUNT, Neither, InEvaluations,
@@ -256,6 +277,35 @@ metrics! {
     more: {}
 }
 
+/// The vehicles' part of the episodes of an evaluation.
+struct Drives<'a>(Vec<&'a DrivingRecord>);
+
+impl Drives<'_> {
+    fn rate(&self, of: fn(&DrivingRecord) -> f64) -> Estimate {
+        Estimate::rate(&self.column(of)).unwrap_or_default()
+    }
+
+    fn mean(&self, of: fn(&DrivingRecord) -> f64) -> Estimate {
+        Estimate::t(&self.column(of)).unwrap_or_default()
+    }
+
+    fn column(&self, of: fn(&DrivingRecord) -> f64) -> Vec<f64> {
+        self.0.iter().map(|record| of(record)).collect()
+    }
+
+    /// Returns a measurement of the episodes that have it.
+    fn known(&self, of: fn(&DrivingRecord) -> Option<f64>) -> Vec<f64> {
+        self.0.iter().filter_map(|record| of(record)).collect()
+    }
+
+    fn km_per_crash(&self) -> Option<KmPerCrash> {
+        KmPerCrash::new(
+            self.0.iter().map(|r| r.distance_km).sum(),
+            self.0.iter().map(|r| u64::from(r.crashes)).sum(),
+        )
+    }
+}
+
 /// The episodes and windows of an evaluation.
 struct Episodes<'a> {
     records: &'a [EpisodeRecord],
@@ -270,18 +320,6 @@ impl Episodes<'_> {
 
     fn mean(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
         mean(self.records, |_| true, of).unwrap_or_default()
-    }
-
-    /// Returns a measurement of the episodes that have it.
-    fn known(&self, of: fn(&EpisodeRecord) -> Option<f64>) -> Vec<f64> {
-        self.records.iter().filter_map(of).collect()
-    }
-
-    fn km_per_crash(&self) -> Option<KmPerCrash> {
-        KmPerCrash::new(
-            self.records.iter().map(|r| r.distance_km).sum(),
-            self.records.iter().map(|r| u64::from(r.crashes)).sum(),
-        )
     }
 }
 
@@ -313,16 +351,41 @@ impl Metrics {
         if records.is_empty() || windows.is_empty() {
             return None;
         }
-        let flows: Vec<FlowMetrics> = records.iter().filter_map(|r| r.flow).collect();
-        let background: Vec<BackgroundMetrics> = records.iter().filter_map(|r| r.others).collect();
+        let drives: Vec<&DrivingRecord> =
+            records.iter().filter_map(|record| record.driving.as_ref()).collect();
+        let mut own: BTreeMap<String, Vec<f64>> = BTreeMap::new();
+        for (name, value) in records.iter().flat_map(|record| &record.own) {
+            own.entry(name.clone()).or_default().push(*value);
+        }
+        let own = own.into_iter().filter_map(|(name, values)| Some((name, Estimate::t(&values)?)));
         Some(Self {
-            audit: records.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
-            failures: records.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
-            flow: (!flows.is_empty()).then(|| FlowSummary::measure(&flows)),
-            others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
+            driving: (!drives.is_empty()).then(|| DrivingMetrics::of(drives)),
+            own: own.collect(),
             reconstruction: reconstruction.to_vec(),
             ..Self::measure(&Episodes { records, windows, message_bits })
         })
+    }
+
+    /// Returns the metrics of vehicles.
+    ///
+    /// # Panics
+    /// In environments without vehicles.
+    pub fn driving(&self) -> &DrivingMetrics {
+        self.driving.as_ref().expect("an evaluation of vehicles")
+    }
+}
+
+impl DrivingMetrics {
+    fn of(drives: Vec<&DrivingRecord>) -> Self {
+        let flows: Vec<FlowMetrics> = drives.iter().filter_map(|r| r.flow).collect();
+        let background: Vec<BackgroundMetrics> = drives.iter().filter_map(|r| r.others).collect();
+        Self {
+            audit: drives.iter().fold(Audit::default(), |sum, r| sum.plus(&r.audit)),
+            failures: drives.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
+            flow: (!flows.is_empty()).then(|| FlowSummary::measure(&flows)),
+            others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
+            ..Self::measure(&Drives(drives))
+        }
     }
 }
 
@@ -354,72 +417,4 @@ pub fn reference() -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::env::MAX_TIME_APART;
-
-    #[test]
-    fn every_metric_has_its_own_key_and_the_key_finds_it_in_json() {
-        let known = Estimate { mean: 0.25, low: 0.0, high: 0.5 };
-        for metric in all() {
-            assert_eq!(all().filter(|other| other.id == metric.id).count(), 1, "{}", metric.id);
-            assert_eq!(metric.estimate(&Metrics::default()), None, "{}", metric.id);
-            let value = serde_json::json!({ "mean": 0.25, "low": 0.0, "high": 0.5, "km": 1.0, "crashes": 4 });
-            let json = match metric.id.split_once('.') {
-                None => serde_json::json!({ metric.id: value }),
-                Some((part, key)) => serde_json::json!({ part: { key: value } }),
-            };
-            let metrics: Metrics = serde_json::from_value(json).unwrap();
-            let shown = metric.estimate(&metrics).expect("it is there");
-            assert_eq!(shown.mean, metric.scale.factor * known.mean, "{}", metric.id);
-        }
-        assert_eq!(SUCCESS.id, "success");
-    }
-
-    #[test]
-    fn intervals_contain_only_possible_numbers() {
-        let effects = |delay: f64, ttc: f64| BackgroundMetrics {
-            vehicles: 1,
-            delay,
-            ttc,
-            ..BackgroundMetrics::default()
-        };
-        let records: Vec<EpisodeRecord> = [effects(0.0, 5.0), effects(0.5, 5.0), effects(0.0, 4.0)]
-            .map(|others| EpisodeRecord { others: Some(others), ..EpisodeRecord::default() })
-            .into();
-        let metrics = Metrics::of(&records, &[-1.0, 2.0], &[], &[]).unwrap();
-        let others = metrics.others.as_ref().unwrap();
-        let (delay, ttc) = (others.delay.unwrap(), others.ttc.unwrap());
-        assert!(delay.low == 0.0 && delay.high > 0.5, "{delay:?}");
-        assert!(ttc.low > 0.0 && ttc.high == MAX_TIME_APART, "{ttc:?}");
-        assert!(metrics.window_reward.low < -1.0, "rewards have any sign");
-        // In the shown unit, as reports compute it over seeds.
-        let shown = Estimate { mean: 99.0, low: 95.0, high: 103.0 };
-        assert_eq!(SUCCESS.possible(shown).high, 100.0);
-        let unknown = Estimate { mean: 1.0, low: f64::NEG_INFINITY, high: f64::INFINITY };
-        assert_eq!(SUCCESS.possible(unknown), unknown);
-    }
-
-    #[test]
-    fn metrics_survive_their_json() {
-        let success = Estimate { mean: 0.5, low: 0.25, high: 0.75 };
-        let metrics = Metrics { success, ..Metrics::default() };
-        let again: Metrics =
-            serde_json::from_str(&serde_json::to_string(&metrics).unwrap()).unwrap();
-        assert_eq!(again.success, metrics.success);
-        assert!(again.crash.mean.is_nan(), "null is no number");
-    }
-
-    /// `IWOL_UPDATE=1 cargo test metrics_reference` writes the page again.
-    #[test]
-    fn the_metrics_reference_is_up_to_date() {
-        let path =
-            std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/reference/metrics.md");
-        if std::env::var_os("IWOL_UPDATE").is_some() {
-            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-            std::fs::write(&path, reference()).unwrap();
-        }
-        let page = std::fs::read_to_string(&path).unwrap_or_default();
-        assert!(page == reference(), "out of date: run it again with IWOL_UPDATE=1");
-    }
-}
+mod tests;

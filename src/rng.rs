@@ -85,6 +85,11 @@ pub fn fill_normal(rng: &mut Rng, out: &mut [f32]) {
     }
 }
 
+/// Fills `out` with independent numbers that are uniform in 0..1.
+pub fn fill_uniform(rng: &mut Rng, out: &mut [f32]) {
+    out.fill_with(|| rng.random());
+}
+
 /// Fills `out` with independent standard logistic numbers, the difference of two Gumbel variables:
 /// the noise of a two-class Gumbel-softmax.
 pub fn fill_logistic(rng: &mut Rng, out: &mut [f32]) {

@@ -62,10 +62,11 @@ impl Encoder {
     /// Creates an encoder of these features.
     pub fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
         let (inputs, hidden) = (features.len() as i64, network.hidden);
+        let mlp = |path: Path<'_>| Mlp::build(path, inputs, hidden, features.normalised);
         let kind = match network.encoder {
-            EncoderKind::Mlp => Kind::Mlp(Mlp::new(path.sub("mlp"), inputs, hidden)),
+            EncoderKind::Mlp => Kind::Mlp(mlp(path.sub("mlp"))),
             EncoderKind::Gru => Kind::Gru {
-                base: Mlp::new(path.sub("mlp"), inputs, hidden),
+                base: mlp(path.sub("mlp")),
                 cell: Gru::new(path.sub("gru"), hidden, hidden),
                 norm: LayerNorm::new(path.sub("norm"), hidden),
             },

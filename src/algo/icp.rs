@@ -174,7 +174,11 @@ impl<D: Decomposition> Networks for Icp<D> {
             count: 1,
             presence: None,
         };
-        let heard = Features { list: (0..decoded).map(heard).collect(), groups: vec![group] };
+        let heard = Features {
+            list: (0..decoded).map(heard).collect(),
+            groups: vec![group],
+            normalised: false,
+        };
         let mixer = |builder: &mut ParameterBuilder| {
             Mixer::new(builder.of(CRITIC).sub("mixer"), spec.state.len() as i64)
         };

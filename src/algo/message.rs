@@ -135,7 +135,9 @@ impl MessageCritic {
     pub(super) fn new(mut path: Path<'_>, spec: &EnvSpec, network: &Network, iwol: &Iwol) -> Self {
         let hidden = network.hidden;
         let known = spec.state.len() as i64;
-        let state = iwol.privileged_value.then(|| Mlp::new(path.sub("state"), known, hidden));
+        let normalised = spec.state.normalised;
+        let mlp = |path: Path<'_>| Mlp::build(path, known, hidden, normalised);
+        let state = iwol.privileged_value.then(|| mlp(path.sub("state")));
         let read = iwol.message + hidden + if state.is_some() { hidden } else { 0 };
         Self {
             trunk: MessageTrunk::new(path.sub("trunk"), &spec.observation, network, iwol),

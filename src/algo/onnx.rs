@@ -91,6 +91,10 @@ impl Writer<'_> {
         self.graph.apply("Add", &[&product, &bias])
     }
 
+    fn has(&self, name: &str) -> bool {
+        self.tensors.contains_key(&*format!("{name}.weight"))
+    }
+
     fn norm(&mut self, name: &str, x: &Value) -> Value {
         let scale = self.tensor(&format!("{name}.weight"), false);
         let bias = self.tensor(&format!("{name}.bias"), false);
@@ -99,7 +103,8 @@ impl Writer<'_> {
     }
 
     fn mlp(&mut self, name: &str, x: &Value) -> Value {
-        let mut x = self.norm(&format!("{name}.norm"), x);
+        let norm = format!("{name}.norm");
+        let mut x = if self.has(&norm) { self.norm(&norm, x) } else { x.clone() };
         for layer in 0..2 {
             let linear = self.linear(&format!("{name}.layers.{layer}.linear"), &x);
             let positive = self.graph.apply("Relu", &[&linear]);

@@ -10,24 +10,24 @@ use crate::algo::settings::Exploration;
 use crate::scenario::ScenarioFile;
 
 impl Values {
-    /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
-    /// trained policy.
+    /// Returns the defaults for `algorithm` with `agents` agents in a scenario, or in an environment
+    /// without one; `trained`: training starts from a trained policy.
     pub(super) fn defaults(
-        file: &ScenarioFile,
+        file: Option<&ScenarioFile>,
         algorithm: &str,
         agents: u32,
         trained: bool,
     ) -> Self {
-        let mut values = Self::of(&Config::declared(file), |key| {
+        let mut values = Self::of(&Config::declared(file, agents), |key| {
             let own = key.starts_with("scenario.") || key == "agents";
-            if own { Origin::Scenario } else { Origin::Declared }
+            if own && file.is_some() { Origin::Scenario } else { Origin::Declared }
         });
-        let steers = file.scenario.control.steering.is_some();
+        let steers = file.is_some_and(|file| file.scenario.control.steering.is_some());
         if steers {
             values.preset(&STEERING);
         }
         values.follow("number of agents", |config| config.follow_agents(agents, steers));
-        if file.scenario.agents.come_from_files() {
+        if file.is_some_and(|file| file.scenario.agents.come_from_files()) {
             // A vehicle that is on the road at the horizon of an open-ended flow is not late.
             values
                 .follow("agents from route files", |config| config.train.bootstrap_horizon = true);

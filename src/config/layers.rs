@@ -55,34 +55,71 @@ impl Layers {
     /// [`Error`], with the place of the setting.
     pub fn resolve(&self) -> Result<Resolution, Error> {
         let document = &self.document;
-        let parsed = DeTable::parse(&document.text).map_err(|e| Error::Syntax {
-            place: document.place(e.span().map_or(0, |span| span.start)),
-            message: e.message().to_owned(),
-        })?;
-
-        // The scenario gives its own values and the default number of agents, and that number and
-        // the method give the defaults of learning. So these settings are looked up first.
-        let first = |key: &str| self.look_up(parsed.get_ref(), key);
-        let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
-        let Some(path) = word("scenario.file") else {
+        let parsed = self.parsed()?;
+        // The scenario gives its own values and the default number of agents.
+        let path = self.look_up(parsed.get_ref(), "scenario.file");
+        let path = path.and_then(|path| path.as_str().map(str::to_owned));
+        let Some(path) = path else {
             let unknown = unknown_key(parsed.get_ref(), "", document);
             return Err(unknown.unwrap_or(Error::NoScenario));
         };
         let file = ScenarioFile::read(Path::new(&path))?;
-        let agents = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
+        let (config, origins) = self.settings(parsed.get_ref(), Some(&file), 0)?;
+        let scenario = config.scenario.load(&file, &origins)?;
+        scenario.net_for(config.agents)?;
+        let replaced = config.scenario.changes(&file);
+        Ok(Resolution { config, scenario, origins, replaced })
+    }
+
+    /// Resolves the layers for an environment that has no scenario, with `agents` agents.
+    ///
+    /// # Errors
+    /// [`Error`], with the place of the setting.
+    pub fn without_scenario(&self, agents: u32) -> Result<Config, Error> {
+        let parsed = self.parsed()?;
+        let (config, _) = self.settings(parsed.get_ref(), None, agents)?;
+        if config.agents == agents {
+            return Ok(config);
+        }
+        let message = format!("the environment has {agents} agents");
+        let (place, key) = (self.document.name.clone(), "agents".to_owned());
+        Err(Error::Value { place, key, message })
+    }
+
+    /// Returns the document's tables.
+    fn parsed(&self) -> Result<toml::Spanned<DeTable<'_>>, Error> {
+        DeTable::parse(&self.document.text).map_err(|e| Error::Syntax {
+            place: self.document.place(e.span().map_or(0, |span| span.start)),
+            message: e.message().to_owned(),
+        })
+    }
+
+    /// Returns all settings with their origins, in a scenario or, without one, for `agents` agents.
+    fn settings(
+        &self,
+        parsed: &DeTable<'_>,
+        file: Option<&ScenarioFile>,
+        agents: u32,
+    ) -> Result<(Config, Origins), Error> {
+        let document = &self.document;
+        // The number of agents and the method give the defaults of learning, so that they are looked
+        // up first.
+        let first = |key: &str| self.look_up(parsed, key);
+        let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
+        let given = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());
         let algorithm = word("algorithm");
         let preset = word("preset").and_then(|name| Preset::named(&name));
         let mut values = Values::defaults(
-            &file,
+            file,
             algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM),
-            agents.unwrap_or(file.scenario.agents.default),
+            given.unwrap_or(file.map_or(agents, |file| file.scenario.agents.default)),
             word("init_from").is_some_and(|from| !from.is_empty()),
         );
         if let Some(preset) = preset {
             values.preset(preset);
         }
 
-        values.merge(parsed.get_ref(), &[], document)?;
+        values.merge(parsed, &[], document)?;
         for set in &self.sets {
             let place = format!("--set {set}");
             let Some((key, value)) = set.split_once('=') else {
@@ -125,10 +162,7 @@ impl Layers {
         if let Some((keys, allowed)) = config.broken_rule() {
             return wrong(keys, allowed);
         }
-        let scenario = config.scenario.load(&file, &origins)?;
-        scenario.net_for(config.agents)?;
-        let replaced = config.scenario.changes(&file);
-        Ok(Resolution { config, scenario, origins, replaced })
+        Ok((config, origins))
     }
 
     /// Returns the value that the layers give for a setting, by its full name.

@@ -38,15 +38,22 @@ impl ScenarioSettings {
         Self { file: file.scenario.path.clone(), values }
     }
 
+    /// Returns the settings of an environment without a scenario.
+    pub(super) fn none() -> Self {
+        Self { file: PathBuf::new(), values: Table::new() }
+    }
+
     /// Returns the value of an attribute of an element below `<scenario>`; `None` if the scenario
     /// does not have it.
     pub fn value(&self, element: &str, attribute: &str) -> Option<&Value> {
         find(&self.values, &[element, attribute])
     }
 
-    /// Replaces the value of an attribute of an element below `<scenario>`.
+    /// Replaces the value of an attribute of an element below `<scenario>`, if there is a scenario.
     pub(super) fn set(&mut self, element: &str, attribute: &str, value: Value) {
-        insert(&mut self.values, &[element, attribute], value);
+        if !self.values.is_empty() {
+            insert(&mut self.values, &[element, attribute], value);
+        }
     }
 
     /// Returns the values that differ from those in a file.

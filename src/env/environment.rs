@@ -4,11 +4,11 @@
 use std::ops::Range;
 use std::path::Path;
 
-use super::EpisodeRecord;
 use super::episode::WorldState;
 use super::error::Error;
 use super::frame::Frame;
 use super::picture::{Backdrop, Picture};
+use super::record::EpisodeRecord;
 use super::spec::EnvSpec;
 use crate::rng::Seed;
 

@@ -51,6 +51,16 @@ pub enum Error {
     /// The policy that drives the vehicles cannot choose an action.
     #[error("the policy cannot choose an action: {0}")]
     Policy(String),
+    /// A world of an environment of one's own did something that learners cannot use.
+    #[error("episode {episode}, step {step}: {what}")]
+    Own {
+        /// Number of the episode.
+        episode: u64,
+        /// Step of the episode.
+        step: u32,
+        /// The agent, and what is wrong.
+        what: String,
+    },
     /// A worker panicked, which is a defect of this program.
     #[error("a worker panicked, which is a defect of this program: {message}")]
     Panicked {
@@ -77,6 +87,12 @@ pub enum Error {
 }
 
 impl Error {
+    /// Returns the message of a panic.
+    pub(super) fn text_of(panic: &(dyn std::any::Any + Send)) -> String {
+        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+        text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
+    }
+
     /// Returns what the user can do about the error, where that is known.
     pub fn hint(&self) -> Option<String> {
         match self {

@@ -52,6 +52,49 @@ impl Frame {
         }
     }
 
+    /// Empties the frame.
+    pub(super) fn clear(&mut self) {
+        let arrays = [
+            &mut self.observation,
+            &mut self.state,
+            &mut self.comm,
+            &mut self.active,
+            &mut self.reward,
+            &mut self.terminated,
+            &mut self.truncated,
+        ];
+        arrays.into_iter().for_each(|array| array.fill(0.0));
+    }
+
+    /// Returns the observation of an agent, `[O]`.
+    pub fn observation_of(&mut self, agent: usize) -> &mut [f32] {
+        let width = self.observation.len() / self.active.len();
+        &mut self.observation[agent * width..][..width]
+    }
+
+    /// Returns the privileged state as seen from an agent, `[S]`.
+    pub fn state_of(&mut self, agent: usize) -> &mut [f32] {
+        let width = self.state.len() / self.active.len();
+        &mut self.state[agent * width..][..width]
+    }
+
+    /// Begins the trajectory of an agent that comes into an empty slot after the episode has begun:
+    /// it acts from now on, and memories of the slot are cleared.
+    pub fn begin_agent(&mut self, agent: usize) {
+        (self.active[agent], self.start[agent]) = (1.0, 1.0);
+    }
+
+    /// Ends an agent's trajectory because it has reached its goal or has failed: it acts no more, and
+    /// earns nothing after this step.
+    pub fn end(&mut self, agent: usize) {
+        (self.active[agent], self.terminated[agent]) = (0.0, 1.0);
+    }
+
+    /// Ends an agent's trajectory at the time limit: it acts no more, though it could go on.
+    pub fn truncate(&mut self, agent: usize) {
+        (self.active[agent], self.truncated[agent]) = (0.0, 1.0);
+    }
+
     /// Begins the frame after a respawn (`start`) or a step: nobody has ended yet.
     pub(super) fn begin(&mut self, start: bool) {
         self.start.fill(f32::from(u8::from(start)));

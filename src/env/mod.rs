@@ -3,6 +3,7 @@
 //!
 //! - [`EnvSpec`]: what a learner must know about an environment.
 //! - [`Environment`] and [`Worlds`]: what learners and evaluations use. They know no other.
+//! - [`MultiAgentEnv`]: a world of your own, of which [`Simple`] makes an environment.
 //! - `driving`: vehicles in SUMO. A [`Task`] is a scenario prepared for a number of vehicles; a
 //!   [`World`] is the traffic of one episode, which needs no simulator: it emits commands and takes
 //!   in snapshots; a [`VecEnv`] is many worlds in lock-step on the simulators that host them.
@@ -14,12 +15,14 @@ mod episode;
 mod error;
 mod expert;
 mod frame;
+mod multi_agent;
 mod order;
 mod picture;
+mod record;
 mod spec;
 
 pub use driving::{
-    AgentView, Audit, BackgroundMetrics, Conflict, Driver, EpisodeRecord, Failures, FlowMetrics,
+    AgentView, Audit, BackgroundMetrics, Conflict, Driver, DrivingRecord, Failures, FlowMetrics,
     MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Refused, Resets, RouteGeometry,
     RoutePosition, Size, Task, Traffic, VecEnv, VecOptions, World, acceleration, advance,
     boxes_overlap, physical_mask,
@@ -29,6 +32,8 @@ pub use episode::WorldState;
 pub use error::Error;
 pub use expert::Pursuit;
 pub use frame::Frame;
+pub use multi_agent::{MultiAgentEnv, Simple};
 pub use order::Position;
 pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace};
-pub use spec::{ActionDimension, EnvSpec, Feature, Features, Group};
+pub use record::EpisodeRecord;
+pub use spec::{ActionDimension, Described, EnvSpec, Feature, Features, Group};

@@ -39,6 +39,10 @@ pub struct Features {
     pub list: Vec<Feature>,
     /// Consecutive groups that cover the list.
     pub groups: Vec<Group>,
+    /// Whether perceptrons begin with a layer normalisation over the features (MAPPO's feature
+    /// normalisation). It takes their mean and their scale away, and so most of what a few features
+    /// say: of two, only which is larger.
+    pub normalised: bool,
 }
 
 /// One number of an observation or a privileged state.
@@ -54,8 +58,9 @@ pub struct Feature {
     pub high: f32,
 }
 
-/// Name, unit, smallest and largest value of a feature.
-pub(super) type Described = (&'static str, &'static str, f32, f32);
+/// Name, unit, smallest and largest value of a feature, such as
+/// `("speed", "10 m/s", 0.0, 1.0)`.
+pub type Described = (&'static str, &'static str, f32, f32);
 
 /// `count` tokens of `width` features each, starting at `offset`.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -84,6 +89,13 @@ impl Features {
         self.list.is_empty()
     }
 
+    /// Returns one group of features, each of which is there once.
+    pub fn of(name: &str, features: &[Described]) -> Self {
+        let mut all = Self::default();
+        all.push(name, 1, features);
+        all
+    }
+
     /// Returns these features followed by those of `other`.
     #[must_use]
     pub fn join(&self, other: &Self) -> Self {
@@ -101,7 +113,7 @@ impl Features {
 
     /// Appends a group of `count` tokens with these features. A feature called `present` becomes
     /// the presence flag.
-    pub(super) fn push(&mut self, name: &str, count: usize, features: &[Described]) {
+    pub fn push(&mut self, name: &str, count: usize, features: &[Described]) {
         if count == 0 {
             return;
         }

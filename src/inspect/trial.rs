@@ -133,7 +133,7 @@ impl Trial {
                 *(if episode.interrupted { &mut trial.lost } else { &mut trial.episodes }) += 1;
                 if is_flat_out(episode.episode) && !episode.interrupted {
                     trial.flat_out[0] += 1;
-                    trial.flat_out[1] += usize::from(episode.safety >= 1.0);
+                    trial.flat_out[1] += usize::from(episode.driving().safety >= 1.0);
                 }
             }
             let world = env.worlds().next().expect("one world");

@@ -54,17 +54,23 @@ impl Layer {
     }
 }
 
-/// A trunk: layer normalisation of the input, then two layers with rectifiers (MAPPO's default).
+/// A trunk: layer normalisation of the input, unless it is left out, then two layers with rectifiers
+/// (MAPPO's default).
 #[derive(Debug)]
 pub struct Mlp {
-    norm: LayerNorm,
+    norm: Option<LayerNorm>,
     layers: [Layer; 2],
 }
 
 impl Mlp {
     /// Creates a trunk from `inputs` to `hidden` features.
-    pub fn new(mut path: Path<'_>, inputs: i64, hidden: i64) -> Self {
-        let norm = LayerNorm::new(path.sub("norm"), inputs);
+    pub fn new(path: Path<'_>, inputs: i64, hidden: i64) -> Self {
+        Self::build(path, inputs, hidden, true)
+    }
+
+    /// Creates a trunk that takes its input as it is, or normalised.
+    pub fn build(mut path: Path<'_>, inputs: i64, hidden: i64, normalised: bool) -> Self {
+        let norm = normalised.then(|| LayerNorm::new(path.sub("norm"), inputs));
         let mut path = path.sub("layers");
         let layers = [(0, inputs), (1, hidden)].map(|(i, width)| {
             Layer::new(&mut path.sub(i), ["linear", "norm"], width, hidden, Activation::Relu)
@@ -75,6 +81,9 @@ impl Mlp {
     /// Maps `x: [.., inputs]` to `[.., hidden]`.
     pub fn forward(&self, x: &Tensor) -> Tensor {
         let [first, second] = &self.layers;
-        second.forward(&first.forward(&self.norm.forward(x)))
+        match &self.norm {
+            Some(norm) => second.forward(&first.forward(&norm.forward(x))),
+            None => second.forward(&first.forward(x)),
+        }
     }
 }

@@ -224,12 +224,14 @@ impl Recorder {
             columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
         }
         let summary = record.map(|r| {
-            [
+            let mut all = vec![
                 ("success", r.success),
-                ("safety", r.safety),
                 ("reward", r.reward),
                 ("episode_length", f64::from(r.episode_length)),
-            ]
+            ];
+            all.extend(r.driving.as_ref().map(|driving| ("safety", driving.safety)));
+            all.extend(r.own.iter().map(|(name, value)| (name.as_str(), *value)));
+            all
         });
         let signals = backdrop.signals.iter().map(|place| {
             let letter = |state: &String| {

@@ -139,7 +139,7 @@ impl Row<'_> {
     /// Returns the distance per crash over all finished runs; `None` if the results do not contain
     /// it.
     pub(super) fn km_per_crash(&self) -> Option<KmPerCrash> {
-        let runs = self.finished().filter_map(|found| found.metrics.km_per_crash);
+        let runs = self.finished().filter_map(|found| found.metrics.driving.as_ref()?.km_per_crash);
         let (km, crashes) = runs
             .map(|run| (run.km, run.crashes))
             .reduce(|sum, run| (sum.0 + run.0, sum.1 + run.1))?;

@@ -9,7 +9,7 @@ use super::{Error, RunDir, Trainer};
 use crate::algo::Losses;
 use crate::checkpoint::Progress;
 use crate::config::Config;
-use crate::env::{Environment, EpisodeRecord};
+use crate::env::{DrivingRecord, Environment, EpisodeRecord};
 use crate::evaluate::Evaluation;
 use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
@@ -121,16 +121,24 @@ impl Files {
         let mean = |of: fn(&EpisodeRecord) -> f64| {
             episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
         };
+        let driving = |of: fn(&DrivingRecord) -> f64| {
+            let all: Vec<f64> =
+                episodes.iter().filter_map(|r| r.driving.as_ref()).map(of).collect();
+            (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+        };
         let mut values: Vec<(&str, f64)> = losses.clone();
         if !episodes.is_empty() {
             values.extend([
                 ("episode/success", mean(|r| r.success)),
-                ("episode/safety", mean(|r| r.safety)),
                 ("episode/reward", mean(|r| r.reward)),
                 ("episode/length", mean(|r| f64::from(r.episode_length))),
-                ("episode/sumo_collisions", mean(|r| f64::from(r.sumo_collisions))),
-                ("episode/own_collisions", mean(|r| f64::from(r.own_collisions))),
             ]);
+            let known = [
+                ("episode/safety", driving(|r| r.safety)),
+                ("episode/sumo_collisions", driving(|r| f64::from(r.sumo_collisions))),
+                ("episode/own_collisions", driving(|r| f64::from(r.own_collisions))),
+            ];
+            values.extend(known.into_iter().filter_map(|(name, value)| Some((name, value?))));
         }
         let timers = &trainer.timers;
         values.extend([

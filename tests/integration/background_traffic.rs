@@ -134,7 +134,7 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
     let of = |policy: Policy<'_>| play(&task, &policy, 15).metrics().expect("episodes");
     // Several speeds, so that some vehicles reach the crossing when a pedestrian is on it.
     let rude = [0.15, 0.2, 0.25, 0.3].map(|throttle| of(Policy::Throttle(throttle)));
-    let others = rude.iter().map(|metrics| metrics.others.as_ref().expect("others"));
+    let others = rude.iter().map(|metrics| metrics.driving().others.as_ref().expect("others"));
     let hit = others.clone().map(|others| others.pedestrian_crash.expect("some walk").mean);
     assert!(hit.sum::<f64>() > 0.0, "{rude:?}");
     assert!(
@@ -144,7 +144,7 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
     // SUMO's driver waits for pedestrians, but brushes a few of them.
     let polite = of(Policy::Sumo);
     assert!(polite.success.mean > 0.8 && rude[1].success.mean < 0.2, "{polite:?}");
-    let met = polite.others.expect("others");
+    let met = polite.driving().others.clone().expect("others");
     assert!(met.pedestrians.mean > 1.0 && met.pet.expect("they meet").mean > 0.1, "{met:?}");
 }
 
@@ -233,11 +233,11 @@ fn an_episode_does_not_depend_on_those_before_it() {
         assert!(one == records(&task, worlds, 9), "{worlds} worlds");
     }
     let others: Vec<_> =
-        one.values().map(|record| record.others.expect("there are others")).collect();
+        one.values().map(|record| record.driving().others.expect("there are others")).collect();
     assert!(others.iter().all(|o| o.vehicles >= 4), "four at places in each: {others:?}");
     assert!(others.windows(2).any(|w| w[0] != w[1]));
     assert!(
-        one.values().any(|r| r.crash > 0.0) && one.values().any(|r| r.success > 0.0),
+        one.values().any(|r| r.driving().crash > 0.0) && one.values().any(|r| r.success > 0.0),
         "both happen"
     );
 }
@@ -247,7 +247,10 @@ fn pedestrians_of_an_episode_do_not_depend_on_those_before_it() {
     let task = task_of("pedestrians_cross", |scenario| scenario.termination.horizon = 300);
     let one = records(&task, 1, 6);
     assert!(one == records(&task, 3, 6), "3 worlds");
-    assert!(one.values().any(|record| record.others.is_some_and(|others| others.pedestrians > 1)));
+    assert!(
+        one.values()
+            .any(|record| record.driving().others.is_some_and(|others| others.pedestrians > 1))
+    );
 }
 
 #[test]
@@ -410,11 +413,11 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
             (world.agents().next().expect("an agent"), world.others().filter(|o| o.wreck));
         let wrecks: Vec<OtherView> = wrecks.collect();
         if let Some(record) = finished.first() {
-            let others = record.others.expect("there are others");
-            assert_eq!(record.crash > 0.0, others.crash > 0.0, "it takes two");
-            crashes += usize::from(record.crash > 0.0);
-            if record.crash > 0.0 {
-                assert!(agent.outcome.crashed && record.own_collisions > 0);
+            let others = record.driving().others.expect("there are others");
+            assert_eq!(record.driving().crash > 0.0, others.crash > 0.0, "it takes two");
+            crashes += usize::from(record.driving().crash > 0.0);
+            if record.driving().crash > 0.0 {
+                assert!(agent.outcome.crashed && record.driving().own_collisions > 0);
                 let hit = |other: &OtherView| {
                     let size =
                         [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
@@ -477,7 +480,13 @@ fn play(task: &Arc<Task>, policy: &Policy<'_>, episodes: u64) -> Evaluation {
 fn metrics_of_others_tell_who_gives_way() {
     let task = task(|scenario| scenario.traffic.penetration = 0.25);
     let of = |policy: Policy<'_>| {
-        play(&task, &policy, 40).metrics().expect("episodes").others.expect("others")
+        play(&task, &policy, 40)
+            .metrics()
+            .expect("episodes")
+            .driving()
+            .others
+            .clone()
+            .expect("others")
     };
     let (rude, polite) = (of(Policy::Throttle(1.0)), of(Policy::Sumo));
     let met = |of: Option<Estimate>| of.expect("others drive");
@@ -497,7 +506,14 @@ fn metrics_of_others_tell_who_gives_way() {
         (scenario.traffic.penetration, scenario.traffic.files) = (1.0, Vec::new());
     });
     assert_eq!((alone.agents, alone.others), (8, 0));
-    assert!(play(&alone, &Policy::Throttle(1.0), 4).metrics().expect("episodes").others.is_none());
+    assert!(
+        play(&alone, &Policy::Throttle(1.0), 4)
+            .metrics()
+            .expect("episodes")
+            .driving()
+            .others
+            .is_none()
+    );
 }
 
 #[test]

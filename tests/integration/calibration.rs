@@ -43,13 +43,18 @@ fn full_throttle() {
     within("window reward", metrics.window_reward.mean, 391.8, 0.05);
     within("episode length", metrics.episode_length.mean, 57.8, 0.05);
     assert!((metrics.success.mean - 0.075).abs() <= 0.04, "success {}", metrics.success.mean);
-    assert_eq!(metrics.out_of_road.mean, 0.0);
+    assert_eq!(metrics.driving().out_of_road.mean, 0.0);
     // The audit: SUMO tests once per step and along lanes, the box test runs five times per step.
-    let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
-    let sumo: u32 = evaluation.episodes.iter().map(|e| e.sumo_collisions).sum();
+    let own: u32 = evaluation.episodes.iter().map(|e| e.driving().own_collisions).sum();
+    let sumo: u32 = evaluation.episodes.iter().map(|e| e.driving().sumo_collisions).sum();
     within("colliding pairs by SUMO against ours", f64::from(sumo), f64::from(own), 0.2);
-    assert!(evaluation.episodes.iter().all(|e| (e.crash > 0.0) == (e.own_collisions > 0)));
-    let audit = metrics.audit;
+    assert!(
+        evaluation
+            .episodes
+            .iter()
+            .all(|e| (e.driving().crash > 0.0) == (e.driving().own_collisions > 0))
+    );
+    let audit = metrics.driving().audit;
     let differences: u32 = audit.differences().iter().map(|(_, pairs)| pairs).sum();
     let only_sumo = audit.sumo_ended
         + audit.sumo_touching
@@ -83,16 +88,16 @@ fn the_audit_says_that_sumo_does_not_look_into_unregulated_junctions() {
         8,
         40,
     );
-    let own: u32 = evaluation.episodes.iter().map(|e| e.own_collisions).sum();
+    let own: u32 = evaluation.episodes.iter().map(|e| e.driving().own_collisions).sum();
     // The remaining collisions happen on lanes, where vehicles of a queue run into each other.
     assert!(
-        f64::from(metrics.audit.ours_unregulated) > 0.5 * f64::from(own),
+        f64::from(metrics.driving().audit.ours_unregulated) > 0.5 * f64::from(own),
         "{:?} of {own}",
-        metrics.audit
+        metrics.driving().audit
     );
     assert_eq!(
-        metrics.crash,
-        play(&Policy::Throttle(1.0), 8, 40).1.crash,
+        metrics.driving().crash,
+        play(&Policy::Throttle(1.0), 8, 40).1.driving().crash,
         "ours does not depend on the type"
     );
 }
@@ -101,9 +106,9 @@ fn the_audit_says_that_sumo_does_not_look_into_unregulated_junctions() {
 fn standing_still() {
     let (_, metrics) = play(&Policy::Throttle(0.0), 8, 100);
     assert_eq!((metrics.reward.mean, metrics.window_reward.mean), (0.0, 0.0));
-    assert_eq!((metrics.success.mean, metrics.safety.mean), (0.0, 1.0));
+    assert_eq!((metrics.success.mean, metrics.driving().safety.mean), (0.0, 1.0));
     assert_eq!(metrics.episode_length.mean, 1000.0);
-    assert_eq!(metrics.sumo_collisions.mean, 0.0);
+    assert_eq!(metrics.driving().sumo_collisions.mean, 0.0);
 }
 
 #[test]
@@ -121,11 +126,11 @@ fn gaussian_actions() {
 fn sumos_own_driver_is_safe() {
     for agents in [4, 16, 48] {
         let (_, metrics) = play(&Policy::Sumo, agents, 10);
-        assert_eq!(metrics.safety.mean, 1.0, "{agents} vehicles");
+        assert_eq!(metrics.driving().safety.mean, 1.0, "{agents} vehicles");
         // SUMO's driver is slow: with 48 vehicles, a few are still on their way at the horizon.
         let least = if agents < 48 { 1.0 } else { 0.95 };
         assert!(metrics.success.mean >= least, "{agents} vehicles: {}", metrics.success.mean);
-        assert_eq!(metrics.sumo_collisions.mean, 0.0, "{agents} vehicles");
+        assert_eq!(metrics.driving().sumo_collisions.mean, 0.0, "{agents} vehicles");
     }
 }
 
@@ -136,7 +141,7 @@ fn sumos_own_driver_brings_every_episode_on_the_parking_lot_to_an_end() {
     assert_eq!(evaluation.episodes.len(), 60);
     assert!(evaluation.episodes.iter().all(|episode| !episode.interrupted));
     assert!(
-        metrics.success.mean > 0.3 && metrics.crash.mean > 0.0,
+        metrics.success.mean > 0.3 && metrics.driving().crash.mean > 0.0,
         "it is blind where a space is left"
     );
 }
@@ -160,9 +165,9 @@ fn parking_at_a_constant_speed_and_at_full_throttle() {
     // Some vehicles touch the line between the directions where the arc out of space 5 ends beside
     // it.
     assert!(
-        pursuit.out_of_road.mean < 0.015,
+        pursuit.driving().out_of_road.mean < 0.015,
         "pure pursuit leaves the road: {}",
-        pursuit.out_of_road.mean
+        pursuit.driving().out_of_road.mean
     );
     let (_, straight) = play_on(&scenario, &Policy::Throttle(1.0), 5, 400);
     assert_eq!(straight.success.mean, 0.0);
@@ -186,7 +191,7 @@ fn pure_pursuit_through_turns_is_as_in_the_reference() {
     ] {
         let policy = Policy::by_name(&format!("pursuit:{speed}")).expect("a policy");
         let (_, metrics) = play_on(&shipped(name), &policy, 4, 200);
-        let found = [metrics.success.mean, metrics.out_of_road.mean];
+        let found = [metrics.success.mean, metrics.driving().out_of_road.mean];
         // The seeds differ, so the tolerances are half the 95 % interval of 100 episodes.
         assert!(
             (found[0] - success).abs() < 0.08,

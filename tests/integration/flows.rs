@@ -58,7 +58,7 @@ fn flows_are_the_same_on_both_backends_and_after_a_restart() {
         let (frames, records) = watch(Backend::Traci);
         let starts = frames[1..].iter().filter(|frame| frame[0].start.iter().sum::<f32>() == 1.0);
         assert!(starts.count() > 5 && records.len() >= 2, "agents come in the middle of episodes");
-        let flow = records[0].flow.expect("a flow");
+        let flow = records[0].driving().flow.expect("a flow");
         assert!(flow.departed > AGENTS, "slots are used again: {flow:?}");
         assert!(watch(Backend::Libsumo) == (frames, records), "{name} differs with libsumo");
 
@@ -78,13 +78,13 @@ fn sumo_drives_the_same_demand() {
     let task = task("flow_merge", 24);
     let departed = |policy: Policy<'_>| -> Vec<u32> {
         let evaluation = play(&task, &policy, 4, Seed::new(0));
-        let flows = evaluation.episodes.iter().map(|record| record.flow.expect("a flow"));
+        let flows = evaluation.episodes.iter().map(|record| record.driving().flow.expect("a flow"));
         flows.map(|flow| flow.departed + flow.queued).collect()
     };
     assert_eq!(departed(Policy::Sumo), departed(Policy::Throttle(0.5)));
     let metrics = play(&task, &Policy::Sumo, 4, Seed::new(0)).metrics().expect("episodes");
-    let flow = metrics.flow.expect("a flow");
-    assert_eq!(metrics.crash.mean, 0.0, "SUMO's drivers do not crash");
+    let flow = metrics.driving().flow.clone().expect("a flow");
+    assert_eq!(metrics.driving().crash.mean, 0.0, "SUMO's drivers do not crash");
     assert!(flow.throughput.expect("arrivals").mean > 100.0, "{flow:?}");
     assert!((0.0..30.0).contains(&flow.delay.expect("arrivals").mean), "{flow:?}");
 
@@ -163,7 +163,7 @@ fn agents_arrive_where_the_files_say() {
                 break record;
             }
         };
-        let flow = record.flow.expect("a flow");
+        let flow = record.driving().flow.expect("a flow");
         assert!(!record.interrupted && flow.arrived > 8, "{driver:?}: {record:?}");
         // Fronts one step before the arrival: at most 2.3 m before the place where SUMO removes them.
         for (route, half, end) in [("a ", 2.0, 117.5), ("b ", 2.0, 117.5), ("bus ", 6.0, 141.5)] {

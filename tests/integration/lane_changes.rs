@@ -118,7 +118,7 @@ fn sumo_changes_to_the_lane_that_the_route_needs() {
     let task = task(&forked(folder.path(), r#"laneChange="route""#, ""), 4);
     let evaluation = play(&task, &steady(), 4, Seed::new(3));
     let metrics = evaluation.metrics().expect("episodes");
-    assert_eq!((metrics.success.mean, metrics.crash.mean), (1.0, 0.0), "{metrics:?}");
+    assert_eq!((metrics.success.mean, metrics.driving().crash.mean), (1.0, 0.0), "{metrics:?}");
     // Everybody drives as far as on the right lane, whatever the route that they are on is called.
     let reward = metrics.reward.mean;
     assert!((500.0..600.0).contains(&reward), "progress from 15..105 m to 595 m, and 10: {reward}");
@@ -127,7 +127,7 @@ fn sumo_changes_to_the_lane_that_the_route_needs() {
     let folder = crate::support::folder();
     let asked = self::task(&forked(folder.path(), r#"laneChange="action""#, ""), 4);
     let metrics = play(&asked, &steady(), 2, Seed::new(3)).metrics().expect("episodes");
-    assert_eq!((metrics.success.mean, metrics.crash.mean), (0.0, 0.0), "{metrics:?}");
+    assert_eq!((metrics.success.mean, metrics.driving().crash.mean), (0.0, 0.0), "{metrics:?}");
 }
 
 #[test]
@@ -135,7 +135,7 @@ fn sumos_driver_changes_lanes_where_agents_may() {
     let folder = folder();
     let task = task(&forked(folder.path(), r#"laneChange="action""#, ""), 4);
     let metrics = play(&task, &Policy::Sumo, 3, Seed::new(3)).metrics().expect("episodes");
-    assert_eq!((metrics.success.mean, metrics.crash.mean), (1.0, 0.0), "{metrics:?}");
+    assert_eq!((metrics.success.mean, metrics.driving().crash.mean), (1.0, 0.0), "{metrics:?}");
 }
 
 #[test]
@@ -183,9 +183,9 @@ fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
     assert_eq!(task.left_out(), None);
     let fast = Policy::Pursuit(Pursuit { speed: 15.0, gives_way: true });
     let episodes = play(&task, &fast, 2, Seed::new(3)).episodes;
-    let flows = episodes.iter().map(|record| record.flow.expect("a flow"));
+    let flows = episodes.iter().map(|record| record.driving().flow.expect("a flow"));
     assert!(flows.clone().all(|flow| flow.arrived >= 4), "{:?}", flows.collect::<Vec<_>>());
-    assert!(episodes.iter().all(|record| record.crash == 0.0), "nobody crashes");
+    assert!(episodes.iter().all(|record| record.driving().crash == 0.0), "nobody crashes");
 
     // Vehicles that SUMO drives change lanes in any case.
     let text = fs::read_to_string(&file).unwrap().replace(r#" laneChange="route""#, "");
@@ -227,7 +227,8 @@ fn lane_changes_of_sumos_driver_are_no_collisions() {
     let scenario = Scenario::load(&imported.scenario).unwrap();
     let task = Arc::new(Task::new(&scenario, scenario.agents.default).unwrap());
     let episodes = play(&task, &Policy::Sumo, 2, Seed::new(1).child("evaluation")).episodes;
-    let collisions: Vec<u32> = episodes.iter().map(|record| record.own_collisions).collect();
+    let collisions: Vec<u32> =
+        episodes.iter().map(|record| record.driving().own_collisions).collect();
     assert_eq!(collisions, [0, 0]);
 }
 
@@ -382,7 +383,8 @@ fn signals_are_those_of_the_lane_after_a_lane_change() {
         }
         records.extend(env.take_finished());
     }
-    let counted: f64 = records.iter().map(|record| 4.0 * record.red_lights.expect("signals")).sum();
+    let counted: f64 =
+        records.iter().map(|record| 4.0 * record.driving().red_lights.expect("signals")).sum();
     assert!((counted - f64::from(red as u32)).abs() < 1e-9, "{counted} counted, {red} of {passed}");
     assert!(
         red > 0 && passed > red && seen.iter().all(|&count| count > 50),

@@ -187,6 +187,39 @@ fn modules_import_only_what_they_may() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Learners and evaluations work in any environment: they know nothing of vehicles or of SUMO.
+#[test]
+fn learners_know_no_vehicles() {
+    const ANY: [&str; 13] = [
+        "ActionDimension",
+        "DrivingRecord",
+        "EnvSpec",
+        "Environment",
+        "EpisodeRecord",
+        "Error",
+        "Feature",
+        "Features",
+        "Group",
+        "Stream",
+        "WorldState",
+        "Worlds",
+        "self",
+    ];
+    let mut found = 0;
+    for source in sources().iter().filter(|s| ["algo", "evaluate", "train"].contains(&s.top())) {
+        for path in paths_after(&source.code, "crate::env::") {
+            let name = path.split("::").next().unwrap_or_default();
+            found += 1;
+            assert!(
+                ANY.contains(&name),
+                "{}: `{name}` is not of every environment",
+                source.path.display()
+            );
+        }
+    }
+    assert!(found > 20, "the scan finds imports: {found}");
+}
+
 /// A file and the parts in its folder may know each other; any other two files may not.
 #[test]
 fn no_two_files_import_each_other() {

@@ -111,7 +111,11 @@ fn roads_at_different_heights_do_not_meet() {
         assert_eq!(conflicts(&task, [0, 1]), [[0; 2]; 0], "{name}");
         if apart {
             let metrics = play(&task, &Policy::Throttle(1.0), 5, Seed::new(0)).metrics().unwrap();
-            assert_eq!((metrics.success.mean, metrics.own_collisions.mean), (1.0, 0.0), "{name}");
+            assert_eq!(
+                (metrics.success.mean, metrics.driving().own_collisions.mean),
+                (1.0, 0.0),
+                "{name}"
+            );
         }
     }
 }
@@ -167,7 +171,11 @@ fn a_route_that_crosses_itself_has_a_conflict() {
     let of = |policy: Policy<'_>| play(&task, &policy, 3, Seed::new(0)).metrics().unwrap();
     assert_eq!(of(Policy::by_name("fcfs:8").unwrap()).success.mean, 1.0);
     let rude = of(Policy::Throttle(1.0));
-    assert!(rude.failures.crossing > 0 && rude.failures.rear_end == 0, "{:?}", rude.failures);
+    assert!(
+        rude.driving().failures.crossing > 0 && rude.driving().failures.rear_end == 0,
+        "{:?}",
+        rude.driving().failures
+    );
 }
 
 /// On a ring, the vehicle ahead is the next one on the lane, in whichever lap either is.
@@ -220,9 +228,9 @@ fn both_directions_of_a_bidi_road_are_one_strip() {
     }
     let alone = play(&task(&scenario, 1), &Policy::Throttle(1.0), 5, Seed::new(0));
     let metrics = alone.metrics().unwrap();
-    assert_eq!((metrics.sumo_collisions.mean, metrics.success.mean), (0.0, 1.0));
+    assert_eq!((metrics.driving().sumo_collisions.mean, metrics.success.mean), (0.0, 1.0));
     let both = play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap();
-    assert_eq!(both.failures.crossing, 6, "{:?}", both.failures);
+    assert_eq!(both.driving().failures.crossing, 6, "{:?}", both.driving().failures);
 }
 
 /// Without `bidi`, SUMO does not know that the two directions are one strip. The audit says so.
@@ -236,7 +244,8 @@ fn sumo_does_not_compare_two_roads_on_one_strip() {
         r#"<route id="ab" edges="ab" arrivalPos="-5"/><route id="ba" edges="ba" arrivalPos="-5"/>"#;
     let spawns = r#"<spawn route="ab" first="8" spacing="8" count="1"/><spawn route="ba" first="8" spacing="8" count="1"/>"#;
     let pair = task(&scenario(folder.path(), routes, spawns, "", 2), 2);
-    let audit = play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap().audit;
+    let audit =
+        play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap().driving().audit;
     assert_eq!(audit.differences(), [("only ours: on lanes that SUMO does not compare", 3)]);
 }
 

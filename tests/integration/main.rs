@@ -12,6 +12,7 @@ mod calibration;
 mod command_line;
 mod damaged_files;
 mod dependencies;
+mod environments;
 mod flows;
 mod hosting;
 mod lane_changes;

@@ -121,7 +121,7 @@ fn vehicles_arrive_on_lanes_that_are_longer_than_their_shapes() {
     let played = play(&task, &Policy::Sumo, 4, Seed::new(0));
     assert!(played.episodes.iter().all(|episode| !episode.interrupted));
     // Vehicles that do not crash arrive.
-    assert!(played.episodes.iter().all(|episode| episode.success == episode.safety));
+    assert!(played.episodes.iter().all(|episode| episode.success == episode.driving().safety));
     // A finish line that a vehicle cannot reach before SUMO removes it is refused.
     let text = fs::read_to_string(&scenario.path).unwrap();
     let near = text.replace(

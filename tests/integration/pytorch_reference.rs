@@ -122,7 +122,7 @@ impl Case {
 fn features(count: usize) -> Features {
     let feature =
         |i: usize| Feature { name: format!("f{i}"), unit: "1".to_owned(), low: -1.0, high: 1.0 };
-    Features { list: (0..count).map(feature).collect(), groups: Vec::new() }
+    Features { list: (0..count).map(feature).collect(), groups: Vec::new(), normalised: true }
 }
 
 /// Returns settings of the smallest networks.

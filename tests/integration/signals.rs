@@ -117,7 +117,8 @@ fn passing_red_is_punished_once_and_counted() {
         }
         // Each route has one signal.
         assert!(counts.iter().all(|&count| count <= 1), "{counts:?}");
-        let counted: f64 = records.iter().map(|r| 8.0 * r.red_lights.expect("signals")).sum();
+        let counted: f64 =
+            records.iter().map(|r| 8.0 * r.driving().red_lights.expect("signals")).sum();
         assert_eq!(counted, counts.iter().sum::<usize>() as f64);
         assert_eq!(counted > 0.0, driver == Driver::Agents, "SUMO's driver obeys signals");
     }
@@ -194,7 +195,8 @@ fn right_turns_on_red_need_a_stop() {
             }
             records.extend(env.take_finished());
         }
-        let red: f64 = records.iter().map(|record| record.red_lights.expect("signals")).sum();
+        let red: f64 =
+            records.iter().map(|record| record.driving().red_lights.expect("signals")).sum();
         (red, passed)
     };
     let (red, passed) = count(Driver::Sumo, 0.0);

@@ -256,25 +256,25 @@ fn pursuit_follows_every_way_and_full_throttle_leaves_the_bends() {
     };
     let by_name = |name| Policy::by_name(name).expect("a policy");
     let pursuit = play("intersection_turns_small", 4, by_name("pursuit:5"));
-    assert_eq!(pursuit.out_of_road.mean, 0.0, "pure pursuit stays on the road");
-    assert!(pursuit.success.mean > 0.3 && pursuit.crash.mean > 0.05, "{pursuit:?}");
+    assert_eq!(pursuit.driving().out_of_road.mean, 0.0, "pure pursuit stays on the road");
+    assert!(pursuit.success.mean > 0.3 && pursuit.driving().crash.mean > 0.05, "{pursuit:?}");
     // The `fcfs` policy lets many vehicles pass one after the other: straight on, left, right and
     // back.
     for (name, agents) in [("intersection_turns_small", 8), ("intersection_turns", 16)] {
         let courteous = play(name, agents, by_name("fcfs:5"));
         assert!(
-            courteous.success.mean > 0.98 && courteous.crash.mean < 0.01,
+            courteous.success.mean > 0.98 && courteous.driving().crash.mean < 0.01,
             "{name}: {courteous:?}"
         );
         // In the junction, SUMO may assign a vehicle to the path of another route, above all in
         // U-turns, and then bends the vehicle's body along this path.
-        let audit = courteous.audit;
+        let audit = courteous.driving().audit;
         assert_eq!(audit.sumo_other, 0, "{name}: {audit:?}");
         assert!(audit.sumo_bent > 0 || name != "intersection_turns", "{audit:?}");
     }
     let straight = play("intersection_turns_small", 4, Policy::Throttle(1.0));
     assert!(
-        straight.out_of_road.mean > 0.2,
+        straight.driving().out_of_road.mean > 0.2,
         "who should turn and does not ends beside the road: {straight:?}"
     );
     assert!(straight.success.mean < 0.4, "{straight:?}");

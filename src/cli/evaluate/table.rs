@@ -92,13 +92,14 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
             let _ = writeln!(text, "latent of {}: explains {}", row.policy, describe(known));
         }
     }
-    for row in rows {
-        for line in row.metrics.failures.describe() {
+    let driving = || rows.iter().filter_map(|row| Some((row, row.metrics.driving.as_ref()?)));
+    for (row, metrics) in driving() {
+        for line in metrics.failures.describe() {
             let _ = writeln!(text, "failures of {}: {line}", row.policy);
         }
     }
-    for row in rows {
-        let audit = &row.metrics.audit;
+    for (row, metrics) in driving() {
+        let audit = &metrics.audit;
         if audit.differences().is_empty() {
             continue;
         }

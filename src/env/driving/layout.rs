@@ -14,7 +14,7 @@ pub(super) struct Layout {
 impl Layout {
     /// Returns the layout of the groups that `scenario` has, and their features.
     pub(super) fn new(groups: &'static [FeatureGroup], scenario: &Scenario) -> (Self, Features) {
-        let mut features = Features::default();
+        let mut features = Features { normalised: true, ..Features::default() };
         let mut width = |group: &FeatureGroup| {
             let before = features.len();
             (group.describe)(scenario, &mut features);

@@ -1,4 +1,4 @@
-//! Metrics of an episode. Success, safety and efficiency are defined as in the paper's released
+//! Metrics of an episode of vehicles. Success, safety and efficiency are defined as in the paper's released
 //! evaluation (`driving_tasks`).
 
 use serde::{Deserialize, Serialize};
@@ -7,16 +7,10 @@ use super::audit::Audit;
 use super::failures::Failures;
 use super::trips::FlowMetrics;
 
-/// Metrics of one finished episode. Shares are fractions of the episode's agents, without those
-/// from route files that are on the road at the end and not late (`trips.rs`).
+/// Metrics of one finished episode of vehicles. Shares are fractions of the episode's agents, without
+/// those from route files that are on the road at the end and not late (`trips.rs`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-pub struct EpisodeRecord {
-    /// Number of the episode in its seed stream.
-    pub episode: u64,
-    /// Steps from the first decision to the end of the episode.
-    pub episode_length: u32,
-    /// Share of agents that arrived.
-    pub success: f64,
+pub struct DrivingRecord {
     /// Share of agents that neither crashed nor went off-road.
     pub safety: f64,
     /// Share of agents that crashed.
@@ -30,8 +24,6 @@ pub struct EpisodeRecord {
     /// mean over the agents from spawn places that arrived \[s\]; `None` if none did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
-    /// Sum of the agents' own rewards over the episode, mean over agents.
-    pub reward: f64,
     /// (success − danger) · N / steps, in agents per step; danger is the share of agents that
     /// crashed or went off-road.
     pub efficiency: f64,
@@ -64,14 +56,6 @@ pub struct EpisodeRecord {
     /// Effects on background traffic; `None` in tasks without background traffic.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub others: Option<BackgroundMetrics>,
-    /// Whether the simulation broke off in the episode; such an episode does not count.
-    pub interrupted: bool,
-    /// Whether the episode repeats one that failed before ([`super::VecOptions::replay`]).
-    #[serde(skip)]
-    pub replayed: bool,
-    /// Mean reward over agents in each step.
-    #[serde(skip)]
-    pub step_rewards: Vec<f32>,
 }
 
 /// Effects of an episode on background vehicles and pedestrians, while agents were on the road.

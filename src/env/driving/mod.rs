@@ -57,7 +57,7 @@ pub use failures::Failures;
 pub use frame::{AgentView, OtherView};
 pub use geometry::{Pose, Size, boxes_overlap};
 pub use map::{Map, RoutePosition};
-pub use metrics::{BackgroundMetrics, EpisodeRecord};
+pub use metrics::{BackgroundMetrics, DrivingRecord};
 
 pub use refusals::Refused;
 pub use routes::{Conflict, RouteGeometry, Strip};

@@ -18,7 +18,7 @@ use crate::env::spec::EnvSpec;
 use crate::sumo::Hosting;
 use crate::sumo::net::{EdgeFunction, Net};
 
-use super::metrics::EpisodeRecord;
+use crate::env::record::EpisodeRecord;
 
 /// The vehicles of a task, and where SUMO moves them.
 #[derive(Debug, Clone)]

@@ -2,18 +2,17 @@
 //! sent their commands before the first answer is awaited, and the work before and after the
 //! exchange runs on all cores.
 
-use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use rayon::prelude::*;
 
-use super::metrics::EpisodeRecord;
 use super::task::{Driver, Task};
 use super::world::World;
 use crate::env::episode::WorldState;
 use crate::env::error::Error;
 use crate::env::expert::Pursuit;
+use crate::env::record::EpisodeRecord;
 use crate::env::spec::EnvSpec;
 use crate::rng::Seed;
 use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
@@ -290,12 +289,8 @@ impl VecEnv {
 /// Turns a panic into an error, so that after a defect in one world the run ends in an orderly
 /// way, with a message and with complete files.
 fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
-    let message = |panic: Box<dyn Any + Send>| {
-        let text = panic.downcast_ref::<&str>().map(ToString::to_string);
-        text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_default()
-    };
     catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|panic| Err(Error::Panicked { message: message(panic) }))
+        .unwrap_or_else(|panic| Err(Error::Panicked { message: Error::text_of(&*panic) }))
 }
 
 /// Returns an error and its causes as one line.

@@ -18,7 +18,6 @@ use super::frame::{AgentView, OtherView};
 use super::geometry::Pose;
 use super::intention::Intentions;
 use super::loitering::{self, Loitering};
-use super::metrics::EpisodeRecord;
 use super::motion;
 use super::reward::Rewards;
 use super::right_of_way::RightOfWay;
@@ -29,6 +28,7 @@ use super::trips::Trips;
 use crate::env::episode::{Episode, Phase, WorldState};
 use crate::env::error::Error;
 use crate::env::frame::Frame;
+use crate::env::record::EpisodeRecord;
 use crate::rng::Seed;
 use crate::sumo::{Command, Snapshot};
 

@@ -32,6 +32,7 @@ fn features(count: usize) -> Features {
     Features {
         list: (0..count).map(feature).collect(),
         groups: vec![group(0, 1, 1), group(1, count - 1, 1)],
+        normalised: true,
     }
 }
 

@@ -99,7 +99,7 @@ fn delay_is_what_an_agent_takes_longer_than_alone() {
             };
             if driven.iter().filter(|steps| **steps > 0).count() == 1 {
                 assert_eq!(record.success, 1.0);
-                return record.delay.expect("it arrived");
+                return record.driving().delay.expect("it arrived");
             }
         }
         unreachable!("an episode with one vehicle comes")

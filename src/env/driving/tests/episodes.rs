@@ -86,11 +86,11 @@ proptest! {
                 prop_assert!(frame.active.iter().all(|&a| a == 0.0));
                 prop_assert!(record.episode_length <= horizon);
                 prop_assert_eq!(record.step_rewards.len(), record.episode_length as usize);
-                let failures = &record.failures;
+                let failures = &record.driving().failures;
                 let active_agents = f64::from(failures.crashed() + failures.out_of_road + failures.unfinished)
                     / (1.0 - record.success).max(1e-9);
                 prop_assert!(record.success > 1.0 - 1e-9 || (active_agents - active_agents.round()).abs() < 1e-6, "{:?}", failures);
-                prop_assert!(record.success + record.safety <= 2.0 && record.crash + record.safety <= 1.0 + 1e-9);
+                prop_assert!(record.success + record.driving().safety <= 2.0 && record.driving().crash + record.driving().safety <= 1.0 + 1e-9);
                 let sum: f64 = record.step_rewards.iter().map(|&r| f64::from(r)).sum();
                 prop_assert!((sum - record.reward).abs() < 1e-3);
             }
@@ -152,7 +152,8 @@ fn episodes_may_have_fewer_agents() {
                 "{} {reward}",
                 record.reward
             );
-            let shares = [record.success, record.crash].map(|share| share * active_agents as f64);
+            let shares =
+                [record.success, record.driving().crash].map(|share| share * active_agents as f64);
             assert!(shares.iter().all(|share| (share - share.round()).abs() < 1e-9));
             assert!((3..=8).contains(&active_agents));
             counts.insert(active_agents);

@@ -73,11 +73,11 @@ proptest! {
             if let Some(record) = world.take_finished() {
                 episodes += 1;
                 prop_assert_eq!(record.episode_length, horizon, "the flow does not end before");
-                let flow = record.flow.expect("agents come from a route file");
+                let flow = record.driving().flow.expect("agents come from a route file");
                 prop_assert_eq!((flow.departed, flow.arrived), (departed, arrived));
                 prop_assert!((record.reward * f64::from(departed) - earned).abs() < 1e-2 * earned.abs().max(1.0));
                 prop_assert!(flow.waiting >= 0.0 && flow.on_road <= agents);
-                prop_assert!(record.success <= 1.0 && record.crash + record.safety <= 1.0 + 1e-9);
+                prop_assert!(record.success <= 1.0 && record.driving().crash + record.driving().safety <= 1.0 + 1e-9);
             }
         }
         prop_assert!(episodes > 0);
@@ -136,7 +136,7 @@ fn an_episode_ends_with_its_last_agent() {
             break record;
         }
     };
-    let flow = record.flow.expect("a flow");
+    let flow = record.driving().flow.expect("a flow");
     assert!(record.episode_length < 5000 && flow.departed <= 8 && flow.queued == 0);
     assert!(longest_gap >= 25, "nobody departs in the first three seconds");
 }
@@ -159,7 +159,7 @@ fn sparse(types: &str, penetration: f64) -> Vec<(u32, u32)> {
     while episodes.len() < 12 {
         exchange(&mut world, &mut rails, &[1.0; 4]);
         if let Some(record) = world.take_finished() {
-            episodes.push((record.episode_length, record.flow.expect("a flow").departed));
+            episodes.push((record.episode_length, record.driving().flow.expect("a flow").departed));
         }
     }
     episodes
@@ -193,7 +193,7 @@ fn agents_wait_for_a_slot() {
             exchange(&mut world, &mut rails, &vec![0.2; agents as usize]);
             most = most.max(world.frame().active.iter().filter(|&&active| active > 0.0).count());
             if let Some(record) = world.take_finished() {
-                break (most, record.flow.expect("a flow"));
+                break (most, record.driving().flow.expect("a flow"));
             }
         }
     };

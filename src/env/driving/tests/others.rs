@@ -45,11 +45,11 @@ proptest! {
             }
             if let Some(record) = world.take_finished() {
                 episodes += 1;
-                let met = record.others.expect("there are others");
+                let met = record.driving().others.expect("there are others");
                 prop_assert!(met.vehicles as usize >= 8 - n);
                 prop_assert!((0.0..=5.0).contains(&met.ttc) && (0.0..=5.0).contains(&met.pet));
                 prop_assert!(met.crash <= met.close && met.close <= 1.0);
-                prop_assert!(met.crash == 0.0 || record.crash > 0.0 || n > 1, "it takes an agent");
+                prop_assert!(met.crash == 0.0 || record.driving().crash > 0.0 || n > 1, "it takes an agent");
             }
         }
         prop_assert!(most > 0 && (episodes > 0 || horizon > 100));

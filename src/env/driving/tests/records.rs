@@ -1,6 +1,7 @@
 //! Tests of what an episode's record says about driving: causes of failures, distance, crashes, loitering.
 
 use super::*;
+use crate::env::EpisodeRecord;
 
 /// Plays an episode in which the slots that `drives` picks, by route and place in its queue (0:
 /// first), drive at full throttle and the others stand. Returns the episode's record and the task.
@@ -29,7 +30,7 @@ fn failures_say_how_a_crash_came_about() {
     // On one lane, the second vehicle hits the first, which stands, and the third hits the wreck;
     // the fourth stands.
     let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
-    let failures = &record.failures;
+    let failures = &record.driving().failures;
     assert_eq!((failures.rear_end, failures.wreck, failures.crossing), (2, 1, 0), "{failures:?}");
     assert_eq!((failures.upstream, failures.unfinished, failures.out_of_road), (3, 13, 0));
     assert!(failures.steps > 3 * 10 && failures.speeds > 3.0, "{failures:?}");
@@ -46,7 +47,7 @@ fn failures_say_how_a_crash_came_about() {
 
     // The first vehicles of two routes that cross.
     let (record, task) = failures_of(8, |route, place| place == 0 && (route == 1 || route == 2));
-    let failures = &record.failures;
+    let failures = &record.driving().failures;
     let names = [2, 1].map(|route| task.scenario.routes[route].id.clone());
     assert_eq!(
         failures.routes.keys().collect::<Vec<_>>(),
@@ -57,7 +58,7 @@ fn failures_say_how_a_crash_came_about() {
         (failures.crossing, failures.rear_end, failures.wreck, failures.upstream),
         (2, 0, 0, 0)
     );
-    assert_eq!(f64::from(failures.crashed()), record.crash * 8.0);
+    assert_eq!(f64::from(failures.crashed()), record.driving().crash * 8.0);
 
     let both = failures.clone().plus(failures);
     assert_eq!((both.crossing, both.unfinished, both.steps), (4, 12, 2 * failures.steps));
@@ -101,13 +102,13 @@ fn lane(stops: &[Option<f64>]) -> (EpisodeRecord, f64) {
 
 #[test]
 fn an_agent_that_waits_before_its_finish_loiters() {
-    let share = |stops: &[Option<f64>]| lane(stops).0.loitering * 16.0;
+    let share = |stops: &[Option<f64>]| lane(stops).0.driving().loitering * 16.0;
     assert_eq!(share(&[Some(5.0)]), 1.0, "it stands 5 m before its finish, with nobody ahead");
     assert_eq!(share(&[Some(20.0)]), 0.0, "it is not near its finish");
     assert_eq!(share(&[None]), 0.0, "it drives through");
     // The second vehicle stands 12 m before the finish, behind the first. Only the first loiters.
     let (queue, _) = lane(&[Some(5.0), Some(12.0)]);
-    assert_eq!((queue.loitering * 16.0, queue.crashes), (1.0, 0));
+    assert_eq!((queue.driving().loitering * 16.0, queue.driving().crashes), (1.0, 0));
     assert_eq!(share(&[None, Some(12.0)]), 1.0, "the first has arrived and is in nobody's way");
 }
 
@@ -141,7 +142,7 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
                 &[if step <= steps { 0.5 } else { -1.0 }, 0.0, 0.0, 0.0],
             );
             if let Some(record) = world.take_finished() {
-                return record.loitering;
+                return record.driving().loitering;
             }
         }
         unreachable!()
@@ -154,13 +155,17 @@ fn an_agent_that_has_not_moved_yet_does_not_loiter() {
 fn distance_and_crashes_are_counted() {
     let (record, driven) = lane(&[None]);
     assert!(
-        driven > 0.05 && (record.distance_km - driven).abs() < 1e-3,
+        driven > 0.05 && (record.driving().distance_km - driven).abs() < 1e-3,
         "{} {driven}",
-        record.distance_km
+        record.driving().distance_km
     );
-    assert_eq!(record.crashes, 0);
+    assert_eq!(record.driving().crashes, 0);
     // The second vehicle of the lane hits the first, which stands: one crash of two agents. The
     // third hits the wrecks: one more crash.
     let (record, _) = failures_of(16, |route, place| route == 0 && (place == 1 || place == 2));
-    assert_eq!((record.crashes, record.failures.crashed()), (2, 3), "{record:?}");
+    assert_eq!(
+        (record.driving().crashes, record.driving().failures.crashed()),
+        (2, 3),
+        "{record:?}"
+    );
 }

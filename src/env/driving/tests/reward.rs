@@ -1,6 +1,7 @@
 //! Tests of rewards and of what becomes of a vehicle that crashed.
 
 use super::*;
+use crate::env::EpisodeRecord;
 use crate::env::Frame;
 
 /// Plays an episode in which slot 0 drives at full throttle on a free lane and the other slots
@@ -50,8 +51,11 @@ fn the_reward_is_for_distance_and_speed_and_then_the_arrival() {
     }
     assert_eq!(frames[end].reward[0], 10.0);
     assert!((record.reward - (total + 10.0) / 4.0).abs() < 1e-4);
-    assert_eq!((record.safety, record.crash, record.episode_length), (1.0, 0.0, 120));
-    assert!((record.efficiency - 0.25 * 4.0 / 120.0).abs() < 1e-12);
+    assert_eq!(
+        (record.driving().safety, record.driving().crash, record.episode_length),
+        (1.0, 0.0, 120)
+    );
+    assert!((record.driving().efficiency - 0.25 * 4.0 / 120.0).abs() < 1e-12);
 }
 
 /// Rewards in the environment depend neither on the share in other agents' advantages nor on the

@@ -1,7 +1,8 @@
 //! The record of a world's episode.
 
 use super::World;
-use crate::env::driving::metrics::EpisodeRecord;
+use crate::env::driving::metrics::DrivingRecord;
+use crate::env::record::EpisodeRecord;
 
 impl World {
     /// Returns the record of the current episode.
@@ -21,16 +22,12 @@ impl World {
         let total = self.rewards.total;
         // Rewards are per slot where agents come from route files.
         let per_agent = |departed| total * task.agents as f64 / f64::from(u32::max(departed, 1));
-        EpisodeRecord {
-            episode: self.episode.index,
-            episode_length: self.episode.step,
-            success,
+        let driving = DrivingRecord {
             safety: 1.0 - danger,
             crash: trips.crashed / n,
             unfinished: trips.unfinished / n,
             delay: trips.delay,
             out_of_road: trips.out_of_road / n,
-            reward: flow.map_or(total, |flow| per_agent(flow.departed)),
             efficiency: (success - danger) * n / f64::from(self.episode.step.max(1)),
             sumo_collisions: self.collisions.pairs.of_sumo(),
             own_collisions: self.collisions.pairs.of_ours(),
@@ -42,6 +39,14 @@ impl World {
             failures: trips.failures,
             flow,
             others: (task.others > 0).then(background),
+        };
+        EpisodeRecord {
+            episode: self.episode.index,
+            episode_length: self.episode.step,
+            success,
+            reward: flow.map_or(total, |flow| per_agent(flow.departed)),
+            driving: Some(driving),
+            own: std::collections::BTreeMap::new(),
             interrupted,
             replayed: self.episode.is_replayed(),
             step_rewards: std::mem::take(&mut self.rewards.steps),

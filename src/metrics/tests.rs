@@ -1,0 +1,69 @@
+//! Tests of the registry.
+
+use super::*;
+use crate::env::MAX_TIME_APART;
+
+#[test]
+fn every_metric_has_its_own_key_and_the_key_finds_it_in_json() {
+    let known = Estimate { mean: 0.25, low: 0.0, high: 0.5 };
+    for metric in all() {
+        assert_eq!(all().filter(|other| other.id == metric.id).count(), 1, "{}", metric.id);
+        assert_eq!(metric.estimate(&Metrics::default()), None, "{}", metric.id);
+        let value =
+            serde_json::json!({ "mean": 0.25, "low": 0.0, "high": 0.5, "km": 1.0, "crashes": 4 });
+        let json = match metric.id.split_once('.') {
+            None => serde_json::json!({ metric.id: value }),
+            Some((part, key)) => serde_json::json!({ part: { key: value } }),
+        };
+        let metrics: Metrics = serde_json::from_value(json).unwrap();
+        let shown = metric.estimate(&metrics).expect("it is there");
+        assert_eq!(shown.mean, metric.scale.factor * known.mean, "{}", metric.id);
+    }
+    assert_eq!(SUCCESS.id, "success");
+}
+
+#[test]
+fn intervals_contain_only_possible_numbers() {
+    let effects = |delay: f64, ttc: f64| BackgroundMetrics {
+        vehicles: 1,
+        delay,
+        ttc,
+        ..BackgroundMetrics::default()
+    };
+    let records: Vec<EpisodeRecord> = [effects(0.0, 5.0), effects(0.5, 5.0), effects(0.0, 4.0)]
+        .map(|others| DrivingRecord { others: Some(others), ..DrivingRecord::default() })
+        .map(|driving| EpisodeRecord { driving: Some(driving), ..EpisodeRecord::default() })
+        .into();
+    let metrics = Metrics::of(&records, &[-1.0, 2.0], &[], &[]).unwrap();
+    let others = metrics.driving().others.as_ref().unwrap();
+    let (delay, ttc) = (others.delay.unwrap(), others.ttc.unwrap());
+    assert!(delay.low == 0.0 && delay.high > 0.5, "{delay:?}");
+    assert!(ttc.low > 0.0 && ttc.high == MAX_TIME_APART, "{ttc:?}");
+    assert!(metrics.window_reward.low < -1.0, "rewards have any sign");
+    // In the shown unit, as reports compute it over seeds.
+    let shown = Estimate { mean: 99.0, low: 95.0, high: 103.0 };
+    assert_eq!(SUCCESS.possible(shown).high, 100.0);
+    let unknown = Estimate { mean: 1.0, low: f64::NEG_INFINITY, high: f64::INFINITY };
+    assert_eq!(SUCCESS.possible(unknown), unknown);
+}
+
+#[test]
+fn metrics_survive_their_json() {
+    let success = Estimate { mean: 0.5, low: 0.25, high: 0.75 };
+    let metrics = Metrics { success, ..Metrics::default() };
+    let again: Metrics = serde_json::from_str(&serde_json::to_string(&metrics).unwrap()).unwrap();
+    assert_eq!(again.success, metrics.success);
+    assert!(again.driving().crash.mean.is_nan(), "null is no number");
+}
+
+/// `IWOL_UPDATE=1 cargo test metrics_reference` writes the page again.
+#[test]
+fn the_metrics_reference_is_up_to_date() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/reference/metrics.md");
+    if std::env::var_os("IWOL_UPDATE").is_some() {
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(&path, reference()).unwrap();
+    }
+    let page = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(page == reference(), "out of date: run it again with IWOL_UPDATE=1");
+}

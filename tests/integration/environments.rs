@@ -1,0 +1,299 @@
+//! Environments of one's own: methods learn in them, runs go on bit for bit, and mistakes are named.
+
+use std::path::Path;
+use std::sync::atomic::AtomicBool;
+
+use iwol_sumo::algo;
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Config, Document, Layers};
+use iwol_sumo::env::{
+    ActionDimension, EnvSpec, Environment, Features, Figure, FigureStatus, Frame, MultiAgentEnv,
+    Picture, Simple, Stream, Worlds,
+};
+use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
+use iwol_sumo::metrics::Metrics;
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::train::{RunDir, Trainer};
+use toml::Value;
+
+use crate::support::folder;
+
+const AGENTS: usize = 3;
+
+/// Agents on a line walk to the place that they see. An agent that stands there has arrived; the
+/// third one comes in the third step.
+struct Line {
+    spec: EnvSpec,
+    /// Place and goal.
+    agents: [[f32; 2]; AGENTS],
+    step: u32,
+    arrived: usize,
+    mistake: Mistake,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Mistake {
+    None,
+    NoNumber,
+    Vanishing,
+    Panic,
+}
+
+impl Line {
+    fn new(mistake: Mistake) -> Self {
+        let features = || Features::of("way", &[("left", "1", -1.0, 1.0), ("time", "1", 0.0, 1.0)]);
+        let spec = EnvSpec {
+            agents: AGENTS,
+            actions: vec![ActionDimension::named("speed")],
+            observation: features(),
+            state: features(),
+        };
+        Self { spec, agents: [[0.0; 2]; AGENTS], step: 0, arrived: 0, mistake }
+    }
+
+    fn observe(&self, frame: &mut Frame) {
+        for (i, [place, goal]) in self.agents.into_iter().enumerate() {
+            let seen = [goal - place, self.step as f32 / 30.0];
+            frame.observation_of(i).copy_from_slice(&seen);
+            frame.state_of(i).copy_from_slice(&seen);
+        }
+    }
+
+    fn hear(frame: &mut Frame) {
+        for i in 0..AGENTS {
+            for j in 0..AGENTS {
+                frame.comm[i * AGENTS + j] = frame.active[i] * frame.active[j];
+            }
+        }
+    }
+}
+
+impl MultiAgentEnv for Line {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: Seed, frame: &mut Frame) {
+        rng::fill_uniform(&mut seed.rng(), self.agents.as_flattened_mut());
+        (self.step, self.arrived) = (0, 0);
+        frame.active.copy_from_slice(&[1.0, 1.0, 0.0]);
+        Self::hear(frame);
+        self.observe(frame);
+    }
+
+    fn step(&mut self, actions: &[f32], frame: &mut Frame) {
+        self.step += 1;
+        for i in 0..AGENTS {
+            if frame.active[i] == 0.0 {
+                continue;
+            }
+            assert!(actions[i].abs() <= 1.0, "actions are within their bounds");
+            let [place, goal] = &mut self.agents[i];
+            let before = (*goal - *place).abs();
+            *place += 0.1 * actions[i];
+            let after = (*goal - *place).abs();
+            frame.reward[i] = before - after;
+            if after < 0.1 {
+                frame.reward[i] += 1.0;
+                self.arrived += 1;
+                frame.end(i);
+            } else if self.step == 30 {
+                frame.truncate(i);
+            }
+        }
+        if self.step == 3 {
+            frame.begin_agent(2);
+        }
+        Self::hear(frame);
+        self.observe(frame);
+        if self.step == 5 {
+            match self.mistake {
+                Mistake::None => {}
+                Mistake::NoNumber => frame.observation_of(1)[0] = f32::NAN,
+                Mistake::Vanishing => frame.active.fill(0.0),
+                Mistake::Panic => panic!("there is no sixth step"),
+            }
+        }
+    }
+
+    fn success(&self) -> f64 {
+        self.arrived as f64 / AGENTS as f64
+    }
+
+    fn metrics(&self) -> Vec<(&'static str, f64)> {
+        vec![("steps", f64::from(self.step))]
+    }
+
+    fn picture(&self) -> Option<Picture> {
+        let agent = |[place, _]: [f32; 2]| Figure {
+            centre: [f64::from(place), 0.0],
+            status: FigureStatus::Active,
+            ..Figure::default()
+        };
+        Some(Picture { agents: self.agents.map(agent).to_vec(), ..Picture::default() })
+    }
+}
+
+fn line(mistake: Mistake) -> Box<dyn Environment> {
+    Box::new(Simple::new("line", move || Line::new(mistake)))
+}
+
+fn config(algorithm: &str, more: &[&str]) -> Config {
+    let flags = vec![("algorithm", Value::String(algorithm.to_owned()))];
+    let sets = ["train.envs=4", "train.rollout_steps=64", "ppo.minibatch=128", "ppo.epochs=5"];
+    let sets = sets.iter().chain(more).map(ToString::to_string).collect();
+    Layers { flags, sets, ..Layers::default() }.without_scenario(AGENTS as u32).expect("settings")
+}
+
+fn played(environment: &dyn Environment, policy: &Policy<'_>, episodes: u64) -> Metrics {
+    let stop = AtomicBool::new(false);
+    let observer =
+        EvaluationObserver { stop: &stop, report: &mut |_| {}, recorder: None, beside: false };
+    evaluate(environment, policy, episodes, Seed::new(3), observer)
+        .expect("it runs")
+        .metrics()
+        .expect("episodes")
+}
+
+/// MAPPO learns the task in seconds, and the metrics of the environment are measured.
+#[test]
+fn methods_learn_in_an_environment_of_ones_own() {
+    let blind = played(&*line(Mistake::None), &Policy::Gaussian, 50);
+    assert!(blind.success.mean < 0.9 && blind.driving.is_none(), "{blind:?}");
+    assert!(blind.own["steps"].mean > 5.0, "{:?}", blind.own);
+    let mut trainer = Trainer::new(config("mappo", &[]), line(Mistake::None)).expect("a trainer");
+    for _ in 0..100 {
+        trainer.iterate().expect("an iteration");
+    }
+    let found = trainer.validate(&AtomicBool::new(false)).expect("it runs").metrics();
+    let found = found.expect("episodes");
+    assert!(found.success.mean > 0.97, "{:?}", found.success);
+}
+
+/// Every method takes its steps, and writes the files of a run without a scenario.
+#[test]
+fn all_methods_run_in_an_environment_of_ones_own() {
+    for name in algo::NAMES {
+        let folder = folder();
+        let dir = RunDir::new(folder.path().join("run"));
+        let settings = ["steps=512", "train.validation_episodes=2", "maddpg.updates=2"];
+        let mut trainer = Trainer::new(config(name, &settings), line(Mistake::None)).expect(name);
+        trainer.run(&dir, &AtomicBool::new(false), &mut |_| {}).expect(name);
+        let text = std::fs::read_to_string(dir.metrics()).expect("metrics");
+        assert!(text.contains("validation/success") && !text.contains("safety"), "{name}: {text}");
+        assert!(!dir.scenario().exists(), "{name}");
+        assert!(Path::new(&dir.last()).exists(), "{name}");
+    }
+}
+
+/// A run that is stopped and goes on from its file has the same bits as one without a break.
+#[test]
+fn runs_go_on_bit_for_bit() {
+    let weights = |trainer: &Trainer| -> Vec<Vec<f64>> {
+        let numbers = |tensor: &tch::Tensor| {
+            Vec::try_from(tensor.to_kind(tch::Kind::Double).reshape([-1])).expect("numbers")
+        };
+        trainer.checkpoint().learner.iter().map(|(_, tensor)| numbers(tensor)).collect()
+    };
+    let again = "train.repeat_failed=0.5";
+    let mut whole = Trainer::new(config("ex-iwol", &[again]), line(Mistake::None)).expect("a run");
+    for _ in 0..4 {
+        whole.iterate().expect("an iteration");
+    }
+    let mut first = Trainer::new(config("ex-iwol", &[again]), line(Mistake::None)).expect("a run");
+    for _ in 0..2 {
+        first.iterate().expect("an iteration");
+    }
+    let folder = folder();
+    let file = folder.path().join("last.safetensors");
+    first.checkpoint().save(&file).expect("saved");
+    let stored = Checkpoint::load(&file).expect("loaded");
+    // The stored settings are settings again.
+    let text = stored.config.clone();
+    let document = Document { name: "stored".to_owned(), text, generated: true };
+    let layers = Layers { document, ..Layers::default() };
+    let settings = layers.without_scenario(AGENTS as u32).expect("settings");
+    let mut second = Trainer::resume(settings, line(Mistake::None), &stored).expect("resumed");
+    for _ in 0..2 {
+        second.iterate().expect("an iteration");
+    }
+    assert_eq!(weights(&whole), weights(&second));
+    assert_ne!(weights(&whole), weights(&first));
+}
+
+/// What happens in an episode depends on its number, and not on the worlds beside it.
+#[test]
+fn episodes_do_not_depend_on_the_number_of_worlds() {
+    let rewards = |worlds: usize| {
+        let stream =
+            Stream { worlds, seed: Seed::new(1), episodes: 0..8, replay: 0.0, beside: false };
+        let environment = line(Mistake::None);
+        let mut all: Box<dyn Worlds> = environment.start(&stream).expect("worlds");
+        let mut found = Vec::new();
+        while !all.is_finished() {
+            let acts = |e: usize| {
+                let view = all.view(e);
+                (0..AGENTS).map(move |i| ((view.episode + i as u64) % 3) as f32 - 1.0)
+            };
+            let actions: Vec<f32> = (0..worlds).flat_map(acts).collect();
+            all.step(&actions).expect("a step");
+            found.extend(all.take_finished());
+        }
+        found.sort_by_key(|record| record.episode);
+        found
+    };
+    let alone = rewards(1);
+    assert_eq!(
+        alone.iter().map(|record| record.episode).collect::<Vec<_>>(),
+        [0, 1, 2, 3, 4, 5, 6, 7]
+    );
+    assert!(alone.iter().any(|record| record.reward != alone[0].reward));
+    assert_eq!(alone, rewards(3));
+    assert_eq!(alone, rewards(8));
+}
+
+/// Slots change hands: the agent that comes later begins a trajectory of its own, and ended ones
+/// are marked once.
+#[test]
+fn frames_tell_who_comes_and_who_ends() {
+    let stream =
+        Stream { worlds: 1, seed: Seed::new(5), episodes: 0..1, replay: 0.0, beside: false };
+    let environment = line(Mistake::None);
+    let mut world = environment.start(&stream).expect("a world");
+    let (mut begun, mut ended) = ([0; AGENTS], [0; AGENTS]);
+    for i in 0..AGENTS {
+        begun[i] += u32::from(world.view(0).frame.start[i] > 0.0);
+    }
+    assert_eq!(begun, [1, 1, 1], "an episode begins in all slots");
+    while world.take_finished().is_empty() {
+        let frame = world.view(0).frame;
+        let acted: Vec<f32> = frame.active.clone();
+        world.step(&[0.3, -0.3, 1.0]).expect("a step");
+        let frame = world.view(0).frame;
+        for i in 0..AGENTS {
+            begun[i] += u32::from(frame.start[i] > 0.0);
+            ended[i] += u32::from(frame.terminated[i] + frame.truncated[i] > 0.0);
+            assert!(acted[i] > 0.0 || frame.reward[i] == 0.0, "who does not act earns nothing");
+        }
+    }
+    assert_eq!((begun, ended), ([1, 1, 2], [1, 1, 1]));
+}
+
+#[test]
+fn mistakes_of_an_environment_are_named() {
+    let fails = |mistake: Mistake| {
+        let mut trainer = Trainer::new(config("mappo", &[]), line(mistake)).expect("a trainer");
+        let error = trainer.iterate().expect_err("refused");
+        assert!(matches!(error, iwol_sumo::train::Error::Env(_)), "{error:?}");
+        error.to_string()
+    };
+    let text = fails(Mistake::NoNumber);
+    assert!(text.contains("step 5: agent 1: observation 0 is NaN"), "{text}");
+    let text = fails(Mistake::Vanishing);
+    assert!(text.contains("acts no more, but neither `end` nor `truncate` was called"), "{text}");
+    let text = fails(Mistake::Panic);
+    assert!(text.contains("the environment panicked: there is no sixth step"), "{text}");
+    let many = Layers { sets: vec!["agents=5".to_owned()], ..Layers::default() };
+    let error = many.without_scenario(AGENTS as u32).expect_err("refused").to_string();
+    assert!(error.contains("the environment has 3 agents"), "{error}");
+}
