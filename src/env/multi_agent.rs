@@ -63,8 +63,13 @@ pub trait MultiAgentEnv: Send {
     /// is observed now, and who has come to an end ([`Frame::end`], [`Frame::truncate`]). An agent
     /// that comes into a slot begins with [`Frame::begin_agent`].
     ///
-    /// The episode is over when no agent acts any more.
+    /// The episode is over when no agent acts any more, unless it [goes on](Self::goes_on).
     fn step(&mut self, actions: &[f32], frame: &mut Frame);
+
+    /// Returns whether the episode goes on although nobody acts, because agents are still to come.
+    fn goes_on(&self) -> bool {
+        false
+    }
 
     /// Returns the share of agents that have reached their goal, at the end of an episode: policies
     /// are compared by it, and exploration anneals and training stops by it
@@ -295,7 +300,7 @@ impl<E: MultiAgentEnv> World<E> {
         for (total, reward) in self.rewards.iter_mut().zip(&self.frame.reward) {
             *total += f64::from(*reward);
         }
-        if self.frame.active.iter().all(|active| *active == 0.0) {
+        if self.frame.active.iter().all(|active| *active == 0.0) && !self.env.goes_on() {
             self.end();
         }
         Ok(())
