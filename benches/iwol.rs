@@ -167,6 +167,7 @@ fn act(c: &mut Criterion) {
             start: zeros(&[worlds, agents]),
             memory: zeros(&[worlds, agents, learner.memory() as i64]),
             replaced: zeros(&[0]),
+            available: zeros(&[0]),
         };
         c.bench_function(&format!("act/{name}"), |b| {
             b.iter(|| learner.act(black_box(&input), &ActMode::Deterministic));
@@ -192,6 +193,7 @@ fn update(c: &mut Criterion) {
             observation: task.spec.observation.len(),
             state: task.spec.state.len(),
             actions: 1,
+            choices: 0,
             memory: learner.memory(),
             graphs: learner.graphs(),
         };

@@ -27,7 +27,7 @@ impl Square {
         let number = |name| (name, "side of the square", -1.0, 1.0);
         let spec = EnvSpec {
             agents: ROBOTS,
-            actions: vec![ActionDimension::named("x"), ActionDimension::named("y")],
+            actions: vec![ActionDimension::named("x"), ActionDimension::named("y")].into(),
             observation: Features::of("goal", &["dx", "dy"].map(number)),
             state: Features::of("goal", &["dx", "dy"].map(number)),
         };
@@ -86,7 +86,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let steps = args.next().map_or(Ok(60_000), |steps| steps.parse())?;
     let flags = vec![("algorithm", Value::String(method)), ("steps", Value::Integer(steps))];
     let config = Layers { flags, sets: args.collect(), ..Layers::default() }
-        .without_scenario(ROBOTS as u32)?;
+        .without_scenario(&Square::new().spec)?;
     let folder = tempfile::tempdir()?;
     let mut trainer = Trainer::new(config, Box::new(Simple::new("square", Square::new)))?;
     trainer.run(&RunDir::new(folder.path()), &AtomicBool::new(false), &mut |report| {

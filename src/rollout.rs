@@ -25,8 +25,10 @@ pub struct Sizes {
     pub observation: usize,
     /// Number S of features of the privileged state.
     pub state: usize,
-    /// Number A of action dimensions.
+    /// Number A of action dimensions; 1 where actions are discrete.
     pub actions: usize,
+    /// Number K of choices where actions are discrete, else 0.
+    pub choices: usize,
     /// Width M of what the policy remembers per agent in training (0: nothing).
     pub memory: usize,
     /// Number G of communication graphs that the policy samples at each decision (0: none).
@@ -47,6 +49,8 @@ pub struct Rollout {
     /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
     /// from 1, or 0, `[T + 1, E, N, N]`; empty where no message is falsified.
     pub replaced: Vec<f32>,
+    /// 1 where a choice is open, else 0, `[T + 1, E, N, K]`; empty where actions are continuous.
+    pub available: Vec<f32>,
     /// 1 where an agent acts, else 0, `[T + 1, E, N]`.
     pub active: Vec<f32>,
     /// 1 where trajectories start and memories are cleared, else 0, `[T + 1, E, N]`.
@@ -95,6 +99,7 @@ impl Rollout {
             state: vec![0.0; closed * sizes.state],
             comm: vec![0.0; closed * sizes.agents],
             replaced: Vec::new(),
+            available: vec![0.0; closed * sizes.choices],
             active: vec![0.0; closed],
             start: vec![0.0; closed],
             memory: vec![0.0; closed * sizes.memory],
@@ -152,7 +157,7 @@ mod tests {
         #[test]
         fn chunks_partition_the_rollout(steps in 1usize..40, envs in 1usize..5, length in 1usize..11) {
             let rollout = Rollout::new(Sizes {
-                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, memory: 0, graphs: 0,
+                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, choices: 0, memory: 0, graphs: 0,
             });
             let chunks = rollout.chunks(length);
             let mut rows = rollout.rows(&chunks, length);

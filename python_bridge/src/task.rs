@@ -94,7 +94,7 @@ impl NativeTask {
 
     #[getter]
     fn actions(&self) -> Vec<&'static str> {
-        self.task.spec.actions.iter().map(|action| action.name).collect()
+        self.task.spec.actions.names()
     }
 
     /// Name, unit, smallest and largest value of each number of an observation.

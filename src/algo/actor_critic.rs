@@ -264,11 +264,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let head = self.copies[0].head();
         head.impose(parameters.log_std);
         self.weights.follow_average(ppo.average);
-        means.finish(&[
-            ("ppo/explained_variance", batch.explained_variance),
-            ("ppo/std", head.std()),
-            ("ppo/learning_rate", parameters.learning_rate),
-        ])
+        let mut more = vec![("ppo/explained_variance", batch.explained_variance)];
+        more.extend(head.std().map(|std| ("ppo/std", std)));
+        more.push(("ppo/learning_rate", parameters.learning_rate));
+        means.finish(&more)
     }
 
     fn swap_average(&mut self) {

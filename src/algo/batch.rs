@@ -22,6 +22,8 @@ pub(super) struct Batch {
     pub(super) comm: Tensor,
     /// The numbers of false messages, or 0, `[(T + 1) · E, N, N]`; empty where none is falsified.
     pub(super) replaced: Tensor,
+    /// 1 where a choice is open, `[(T + 1) · E, N, K]`; empty where actions are continuous.
+    pub(super) available: Tensor,
     /// 1 where an agent acts, `[T · E, N]`.
     pub(super) active: Tensor,
     /// 0 where a trajectory starts and memories are cleared, else 1, `[(T + 1) · E, N]`.
@@ -76,6 +78,7 @@ impl Batch {
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
             comm: tensor(&rollout.comm, &[closed, n, n]),
             replaced: tensor(&rollout.replaced, &[-1, n, n]),
+            available: tensor(&rollout.available, &[-1, n, s.choices.max(1) as i64]),
             active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
             keep: start.ones_like() - start,
             memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
@@ -157,6 +160,7 @@ impl Batch {
             state: change(&self.state),
             comm: change(&self.comm),
             replaced: change(&self.replaced),
+            available: change(&self.available),
             active: change(&self.active),
             keep: change(&self.keep),
             memory: change(&self.memory),

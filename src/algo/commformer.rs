@@ -51,9 +51,9 @@ use super::batch::{Batch, EDGES, Shard};
 use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
-use super::head::GaussianHead;
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder, ParameterGroup};
+use super::policy::PolicyHead;
 use super::scene::Scene;
 use super::sequence::{Input, Order, Represented, Represents, Sequence, ValueHead};
 use super::settings::Settings;
@@ -137,7 +137,7 @@ impl Networks for CommFormer {
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (hidden, actions, agents) =
-            (settings.network.hidden, spec.actions.len() as i64, spec.agents as i64);
+            (settings.network.hidden, spec.actions.encoded() as i64, spec.agents as i64);
         let count = settings.transformer.blocks;
         let relations = builder.of(ACTOR).create("relations", &[2, hidden], Init::Normal(0.02));
         let block = |i| RelationBlock::new(builder.of(ACTOR).sub("blocks").sub(i), hidden, HEADS);
@@ -167,7 +167,7 @@ impl Networks for CommFormer {
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.sequence.head
     }
 

@@ -18,6 +18,8 @@ pub struct Observation {
     /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
     /// from 1, or 0, `[E, N, N]`; empty unless messages are falsified in training.
     pub replaced: Tensor,
+    /// 1 where a choice is open, `[E, N, K]`; empty where actions are continuous.
+    pub available: Tensor,
 }
 
 impl Observation {
@@ -28,16 +30,17 @@ impl Observation {
             let row = Tensor::from_slice(&array[rollout.at(t, width)]);
             row.view([s.envs as i64, s.agents as i64, width as i64])
         };
+        let some = |array: &[f32], width: usize| {
+            let none = || Tensor::zeros([0], (Kind::Float, Device::Cpu));
+            if array.is_empty() { none() } else { part(array, width) }
+        };
         Self {
             observation: part(&rollout.observation, s.observation),
             comm: part(&rollout.comm, s.agents),
             start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
-            replaced: if rollout.replaced.is_empty() {
-                Tensor::zeros([0], (Kind::Float, Device::Cpu))
-            } else {
-                part(&rollout.replaced, s.agents)
-            },
+            replaced: some(&rollout.replaced, s.agents),
+            available: some(&rollout.available, s.choices),
         }
     }
 
@@ -68,6 +71,7 @@ impl Observation {
             start: change(&self.start),
             memory: change(&self.memory),
             replaced: change(&self.replaced),
+            available: change(&self.available),
         }
     }
 }

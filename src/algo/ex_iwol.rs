@@ -16,10 +16,10 @@ use super::batch::{Batch, EDGES, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::{MessageCritic, MessageTrunk};
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
@@ -30,7 +30,7 @@ use crate::nn::ValueNorm;
 /// The networks of explicit IWoL.
 pub(super) struct ExIwol {
     trunk: MessageTrunk,
-    head: GaussianHead,
+    head: PolicyHead,
     world: WorldDecoder,
     /// Whether the world decoder is trained.
     trained: bool,
@@ -65,7 +65,7 @@ impl Networks for ExIwol {
                 network,
                 iwol,
             ),
-            head: GaussianHead::of_actor(builder, message + hidden, spec, settings),
+            head: PolicyHead::of_actor(builder, message + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
             trained: iwol.lambda_world > 0.0,
             critic: MessageCritic::new(builder.of(CRITIC), spec, network, iwol),
@@ -73,7 +73,7 @@ impl Networks for ExIwol {
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.head
     }
 
@@ -94,7 +94,7 @@ impl Networks for ExIwol {
         let messages = self.trunk.forward(&Scene::of(input, mode.graph_noise()), radio);
         let read =
             messages.packing.unpack(&Tensor::cat(&[&messages.message, &messages.embedding], -1));
-        let (action, log_prob) = self.head.sample(&read, mode);
+        let (action, log_prob) = self.head.sample(&read, &input.available, mode);
         Decision { action, log_prob, memory: Radio::memory_after(radio, input, messages.memory) }
     }
 
@@ -109,8 +109,10 @@ impl Networks for ExIwol {
         noise: &ChannelNoise,
     ) -> Decision {
         let (message, embedding, memory) = self.trunk.through(input, channel, noise);
-        let (action, log_prob) =
-            self.head.sample(&Tensor::cat(&[&message, &embedding], -1), &ActMode::Deterministic);
+        let (action, log_prob) = {
+            let read = Tensor::cat(&[&message, &embedding], -1);
+            self.head.sample(&read, &input.available, &ActMode::Deterministic)
+        };
         Decision { action, log_prob, memory }
     }
 

@@ -13,6 +13,10 @@ pub fn store_frames(worlds: &dyn Worlds, rollout: &mut Rollout, t: usize) {
         let cell = |width| rollout.cell(t, e, width);
         let (observation, state, comm, each) =
             (cell(s.observation), cell(s.state), cell(s.agents), cell(1));
+        if s.choices > 0 {
+            let available = cell(s.choices);
+            rollout.available[available].copy_from_slice(&frame.available);
+        }
         rollout.observation[observation].copy_from_slice(&frame.observation);
         rollout.state[state].copy_from_slice(&frame.state);
         rollout.comm[comm].copy_from_slice(&frame.comm);

@@ -1,17 +1,15 @@
-//! The Gaussian policy head and its loss.
+//! The head of policies with continuous actions.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
 use tch::{Kind, Tensor, no_grad};
 
-use super::batch::{Batch, Shard};
 use super::decision::ActMode;
 use super::parameters::{ACTOR, ParameterBuilder};
-use super::ppo::{self, CLIP_RANGE, Ppo};
 use super::settings::Settings;
-use crate::env::{ActionDimension, EnvSpec};
-use crate::nn::{Init, Linear, Path, gaussian_entropy, gaussian_log_prob};
+use crate::env::{ActionDimension, ActionSpace, EnvSpec};
+use crate::nn::{Init, Linear, Path, gaussian_log_prob};
 
 /// Exploration noise.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
@@ -99,13 +97,17 @@ impl GaussianHead {
     }
 
     /// Creates the head of a policy that reads `inputs` features, as the actor's `head`.
+    ///
+    /// # Panics
+    /// Where actions are discrete.
     pub(super) fn of_actor(
         builder: &mut ParameterBuilder,
         inputs: i64,
         spec: &EnvSpec,
         settings: &Settings,
     ) -> Self {
-        Self::new(builder.of(ACTOR).sub("head"), inputs, &spec.actions, &settings.exploration)
+        let ActionSpace::Continuous(actions) = &spec.actions else { panic!("continuous actions") };
+        Self::new(builder.of(ACTOR).sub("head"), inputs, actions, &settings.exploration)
     }
 
     fn set(&self, log_std: f64) {
@@ -164,75 +166,8 @@ impl GaussianHead {
 
 /// Returns the mean of an action given the noise of earlier steps: `carried` is the shift by that
 /// noise, in units of the scheduled standard deviation, or empty if there is none.
-fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
+pub(super) fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
     if carried.numel() == 0 { mean.shallow_clone() } else { mean + log_std.exp() * carried }
-}
-
-/// The probability whose ratio is clipped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ratio {
-    /// The probability of the whole action.
-    Joint,
-    /// The probability of each dimension of the action (MAT, CommFormer).
-    PerDimension,
-}
-
-/// Loss and diagnostics of the policy on the active samples of a shard.
-pub(super) struct PolicyTerms {
-    pub(super) loss: Tensor,
-    policy: Tensor,
-    entropy: Tensor,
-    /// Distance of the policy from the policy that acted, as the mean of `(ρ - 1) - ln ρ`.
-    approx_kl: Tensor,
-    clip_fraction: Tensor,
-}
-
-impl PolicyTerms {
-    pub(super) fn new(
-        batch: &Batch,
-        shard: &Shard,
-        head: &GaussianHead,
-        input: &Tensor,
-        ppo: &Ppo,
-        ratio: Ratio,
-    ) -> Self {
-        let (mean, log_std) = head.forward(input);
-        let carried = if batch.carried.numel() > 0 {
-            shard.active(&batch.carried)
-        } else {
-            batch.carried.shallow_clone()
-        };
-        let expected = shifted(&mean, &log_std, &carried);
-        let log_std = log_std + shard.active(&batch.log_fresh);
-        let log_prob = gaussian_log_prob(&expected, &log_std, &shard.active(&batch.action));
-        let counted = |log_prob: Tensor| match ratio {
-            Ratio::Joint => log_prob.sum_dim_intlist(-1, true, Kind::Float),
-            Ratio::PerDimension => log_prob,
-        };
-        let (log_prob, old) = (counted(log_prob), counted(shard.active(&batch.log_prob)));
-        let advantage = shard.active(&batch.advantage);
-        let policy = ppo::policy_loss(&log_prob, &old, &advantage, &advantage.ones_like());
-        let entropy = gaussian_entropy(&log_std).mean(Kind::Float);
-        let (approx_kl, clip_fraction) = no_grad(|| {
-            let difference = &log_prob - &old;
-            let outside = (difference.exp() - 1.0).abs().gt(CLIP_RANGE).to_kind(Kind::Float);
-            let difference = difference.sum_dim_intlist(-1, false, Kind::Float);
-            ((difference.exp() - 1.0 - difference).mean(Kind::Float), outside.mean(Kind::Float))
-        });
-        let loss = &policy - ppo.entropy_coefficient * &entropy
-            + ppo.bounds * ppo::bounds_loss(&mean, &log_std);
-        Self { loss, policy, entropy, approx_kl, clip_fraction }
-    }
-
-    /// Returns the diagnostics to report.
-    pub(super) fn report(&self) -> [(&'static str, Tensor); 4] {
-        [
-            ("loss/policy", self.policy.detach()),
-            ("loss/entropy", self.entropy.detach()),
-            ("ppo/approx_kl", self.approx_kl.shallow_clone()),
-            ("ppo/clip_fraction", self.clip_fraction.shallow_clone()),
-        ]
-    }
 }
 
 #[cfg(test)]

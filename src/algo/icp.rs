@@ -38,9 +38,9 @@ use super::critic::{Critic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation};
 use super::decoder::{LatentDecoder, mean_squared_error};
 use super::encoder::{Encoder, encode_rows, encode_shard};
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::settings::Settings;
 use crate::env::{EnvSpec, Feature, Features, Group};
 use crate::nn::graph::sample_best;
@@ -99,7 +99,7 @@ impl Decomposition for Monotonic {
 /// The networks of implicit communication, with a decomposition of the value.
 pub(super) struct Icp<D> {
     encoder: Encoder,
-    head: GaussianHead,
+    head: PolicyHead,
     symbol: Linear,
     decoder: LatentDecoder,
     critic: Critic,
@@ -159,7 +159,7 @@ impl<D: Decomposition> Networks for Icp<D> {
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, symbols, actions) =
-            (&settings.network, settings.icp.symbols, spec.actions.len() as i64);
+            (&settings.network, settings.icp.symbols, spec.actions.encoded() as i64);
         let (hidden, decoded) = (network.hidden, network.hidden + actions);
         let heard = |i| Feature {
             name: format!("heard.{i}"),
@@ -188,7 +188,7 @@ impl<D: Decomposition> Networks for Icp<D> {
                 &spec.observation.join(&heard),
                 network,
             ),
-            head: GaussianHead::of_actor(builder, hidden, spec, settings),
+            head: PolicyHead::of_actor(builder, hidden, spec, settings),
             symbol: Linear::new(
                 builder.of(ACTOR).sub("symbol"),
                 hidden,
@@ -203,7 +203,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.head
     }
 
@@ -223,7 +223,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         let (x, memory) = self.read(input);
         let (f, after) = encode_rows(&self.encoder, &x, &memory, &input.keep(), 1);
         let after = after.map_or_else(|| memory.shallow_clone(), |after| after.view_as(&memory));
-        let (action, log_prob) = self.head.sample(&f, mode);
+        let (action, log_prob) = self.head.sample(&f, &input.available, mode);
         Decision { action, log_prob, memory: Tensor::cat(&[&after, &self.show(&f)], -1) }
     }
 
@@ -241,7 +241,8 @@ impl<D: Decomposition> Networks for Icp<D> {
         let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         // Other agents see the executed action, which is clipped to its bounds.
-        let target = Tensor::cat(&[f.detach(), shard.active(&batch.action).clamp(-1.0, 1.0)], -1);
+        let action = self.head.encoded(&shard.active(&batch.action)).clamp(-1.0, 1.0);
+        let target = Tensor::cat(&[f.detach(), action], -1);
         let message = mean_squared_error(&self.decoder.forward(&self.show(&f)), &target);
 
         let total = &policy.loss + &value + LAMBDA_MESSAGE * &message;

@@ -22,10 +22,10 @@ use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::{LatentDecoder, WorldDecoder, mean_squared_error};
 use super::encoder::{Encoder, encode_active, encode_locally};
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::message::MessageCritic;
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::{Linear, ValueNorm};
@@ -41,7 +41,7 @@ pub(super) struct ImIwol {
 pub(super) struct LatentPolicy {
     pub(super) encoder: Encoder,
     latent: Latent,
-    pub(super) head: GaussianHead,
+    pub(super) head: PolicyHead,
     pub(super) world: WorldDecoder,
     pub(super) interaction: LatentDecoder,
     /// Whether the world decoder and the interaction decoder are trained.
@@ -80,7 +80,7 @@ impl LatentPolicy {
         Self {
             encoder,
             latent,
-            head: GaussianHead::of_actor(builder, iwol.latent + hidden, spec, settings),
+            head: PolicyHead::of_actor(builder, iwol.latent + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, iwol.latent),
             interaction: LatentDecoder::new(
                 builder.of(ACTOR).sub("interaction"),
@@ -136,7 +136,7 @@ impl Networks for ImIwol {
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.policy.head
     }
 
@@ -150,7 +150,8 @@ impl Networks for ImIwol {
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (f, memory) = encode_locally(&self.policy.encoder, input);
-        let (action, log_prob) = self.policy.head.sample(&self.policy.read(&f).1, mode);
+        let (action, log_prob) =
+            self.policy.head.sample(&self.policy.read(&f).1, &input.available, mode);
         Decision { action, log_prob, memory }
     }
 

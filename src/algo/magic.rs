@@ -39,9 +39,9 @@ use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
@@ -64,7 +64,7 @@ pub(super) struct Magic {
     encoder: Encoder,
     schedulers: [Scheduler; 2],
     rounds: [GraphAttention; 2],
-    head: GaussianHead,
+    head: PolicyHead,
     world: Option<WorldDecoder>,
     critic: PrivilegedCritic,
     hidden: i64,
@@ -161,7 +161,7 @@ impl Networks for Magic {
                     false,
                 ),
             ],
-            head: GaussianHead::of_actor(builder, 2 * hidden, spec, settings),
+            head: PolicyHead::of_actor(builder, 2 * hidden, spec, settings),
             world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
             hidden,
@@ -169,7 +169,7 @@ impl Networks for Magic {
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.head
     }
 
@@ -186,7 +186,7 @@ impl Networks for Magic {
         let Messages { message, embedding, packing, memory, .. } =
             self.exchange(&Scene::of(input, mode.graph_noise()), radio);
         let read = packing.unpack(&Tensor::cat(&[&embedding, &message], -1));
-        let (action, log_prob) = self.head.sample(&read, mode);
+        let (action, log_prob) = self.head.sample(&read, &input.available, mode);
         Decision { action, log_prob, memory: Radio::memory_after(radio, input, memory) }
     }
 
@@ -208,8 +208,10 @@ impl Networks for Magic {
             exchange(&self.encoder, input, channel, noise, |known, arrived| {
                 self.read(known, &input.comm, arrived, None).0
             });
-        let (action, log_prob) =
-            self.head.sample(&Tensor::cat(&[&f, &message], -1), &ActMode::Deterministic);
+        let (action, log_prob) = {
+            let read = Tensor::cat(&[&f, &message], -1);
+            self.head.sample(&read, &input.available, &ActMode::Deterministic)
+        };
         Decision { action, log_prob, memory }
     }
 

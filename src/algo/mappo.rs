@@ -16,9 +16,9 @@ use super::batch::{Batch, Shard};
 use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation};
 use super::encoder::{Encoder, encode_active, encode_locally};
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -26,7 +26,7 @@ use crate::nn::ValueNorm;
 /// The networks of MAPPO (multi-agent proximal policy optimisation).
 pub(super) struct Mappo {
     encoder: Encoder,
-    head: GaussianHead,
+    head: PolicyHead,
     critic: PrivilegedCritic,
 }
 
@@ -37,12 +37,12 @@ impl Networks for Mappo {
         let network = &settings.network;
         Self {
             encoder: Encoder::new(builder.of(ACTOR).sub("encoder"), &spec.observation, network),
-            head: GaussianHead::of_actor(builder, network.hidden, spec, settings),
+            head: PolicyHead::of_actor(builder, network.hidden, spec, settings),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
         }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.head
     }
 
@@ -56,7 +56,7 @@ impl Networks for Mappo {
 
     fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
         let (f, memory) = encode_locally(&self.encoder, input);
-        let (action, log_prob) = self.head.sample(&f, mode);
+        let (action, log_prob) = self.head.sample(&f, &input.available, mode);
         Decision { action, log_prob, memory }
     }
 

@@ -29,9 +29,9 @@ use super::CommunicationScope;
 use super::batch::{Batch, Shard};
 use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation};
-use super::head::GaussianHead;
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder};
+use super::policy::PolicyHead;
 use super::scene::Scene;
 use super::sequence::{Input, Order, Represented, Represents, Sequence, ValueHead};
 use super::settings::Settings;
@@ -79,14 +79,14 @@ impl Networks for Mat {
         let blocks = (0..count).map(block).collect();
         let input = Input::new(builder.of(ACTOR), spec, settings);
         let value = ValueHead::new(builder.of(ACTOR).sub("value"), spec, hidden);
-        let (mut path, actions) = (builder.of(ACTOR), spec.actions.len() as i64);
+        let (mut path, actions) = (builder.of(ACTOR), spec.actions.encoded() as i64);
         let path = path.sub("decoder");
         let decoder = TransformerDecoder::new(path, actions, hidden, count, HEADS, None);
         let sequence = Sequence::new(decoder, builder, spec, settings);
         Self { input, blocks, value, sequence }
     }
 
-    fn head(&self) -> &GaussianHead {
+    fn head(&self) -> &PolicyHead {
         &self.sequence.head
     }
 

@@ -9,6 +9,7 @@
 
 mod actor_critic;
 mod batch;
+mod categorical;
 mod channel;
 mod commformer;
 mod critic;
@@ -31,6 +32,7 @@ mod message;
 mod networks;
 pub mod onnx;
 mod parameters;
+mod policy;
 pub mod ppo;
 mod radio;
 mod scene;
@@ -94,6 +96,7 @@ impl Method {
             messages: N::MESSAGES,
             any_number: N::PER_AGENT.is_none(),
             team: N::TEAM,
+            discrete: true,
             recurrent: true,
             on_policy: true,
             latent: N::LATENT,
@@ -127,6 +130,8 @@ pub struct Capabilities {
     pub any_number: bool,
     /// Whether agents learn from the return of their team instead of each from its own return.
     pub team: bool,
+    /// Whether actions may be discrete.
+    pub discrete: bool,
     /// Whether the encoder may have a memory (`network.encoder = "gru"`).
     pub recurrent: bool,
     /// Whether the method learns from the last rollout alone, by the probabilities of its actions
@@ -291,7 +296,7 @@ pub trait Algorithm {
 ///
 /// # Errors
 /// [`Error::UnknownAlgorithm`]; [`Error::Channel`] where the settings' channel cannot be trained
-/// with.
+/// with; [`Error::Discrete`] where the method cannot have the environment's actions.
 pub fn build(
     name: &str,
     spec: &EnvSpec,
@@ -302,6 +307,9 @@ pub fn build(
     let method = Method::named(name)?;
     if let Some(why) = settings.channel.cannot_train(settings.network.encoder) {
         return Err(Error::Channel { why });
+    }
+    if spec.actions.choices().is_some() && !method.capabilities.discrete {
+        return Err(Error::Discrete { algorithm: method.name });
     }
     Ok((method.build)(spec, &settings.only(method.capabilities.settings), seed, device))
 }
@@ -341,6 +349,15 @@ pub enum Error {
         "[channel] applies to messages that agents send at the same time and each receiver reads by itself; {algorithm} has none: omit [channel]"
     )]
     NoMessages {
+        /// Name of the algorithm.
+        algorithm: &'static str,
+    },
+    /// A method for continuous actions is to be trained where actions are discrete.
+    #[error(
+        "{algorithm} is for continuous actions only, and the environment's are discrete; choose one of {}",
+        METHODS.iter().filter(|method| method.capabilities.discrete).map(|m| m.name).collect::<Vec<_>>().join(", ")
+    )]
+    Discrete {
         /// Name of the algorithm.
         algorithm: &'static str,
     },

@@ -8,8 +8,8 @@ use super::batch::{Batch, Shard};
 use super::channel::{Channel, ChannelNoise};
 use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
-use super::head::{GaussianHead, PolicyTerms};
 use super::parameters::{ParameterBuilder, ParameterGroup};
+use super::policy::{PolicyHead, PolicyTerms};
 use super::radio::Radio;
 use super::settings::Settings;
 use crate::env::EnvSpec;
@@ -58,7 +58,7 @@ pub(super) trait Networks: Sized + Send {
     }
 
     /// Returns the policy's head.
-    fn head(&self) -> &GaussianHead;
+    fn head(&self) -> &PolicyHead;
 
     /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> i64;

@@ -15,8 +15,8 @@ use super::batch::{Batch, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation};
 use super::encoder::Encoder;
-use super::head::{GaussianHead, PolicyTerms, Ratio};
 use super::parameters::ParameterBuilder;
+use super::policy::{PolicyHead, PolicyTerms, Ratio};
 use super::scene::Scene;
 use super::settings::Settings;
 use crate::env::EnvSpec;
@@ -133,8 +133,8 @@ impl<R: Represents> ValueFunction for R {
 /// A decoder of actions, agent by agent in the order of slots.
 pub(super) struct Sequence {
     decoder: TransformerDecoder,
-    pub(super) head: GaussianHead,
-    /// Number of action dimensions A.
+    pub(super) head: PolicyHead,
+    /// Number of numbers with which an action is read.
     actions: i64,
 }
 
@@ -179,8 +179,8 @@ impl Sequence {
         spec: &EnvSpec,
         settings: &Settings,
     ) -> Self {
-        let head = GaussianHead::of_actor(builder, settings.network.hidden, spec, settings);
-        Self { decoder, head, actions: spec.actions.len() as i64 }
+        let head = PolicyHead::of_actor(builder, settings.network.hidden, spec, settings);
+        Self { decoder, head, actions: spec.actions.encoded() as i64 }
     }
 
     /// Returns the terms of the policy's loss, whose ratio is that of each dimension of the action,
@@ -197,13 +197,14 @@ impl Sequence {
         let Represented { representation, order, .. } = known;
         let values = shard.pick(&value.forward(representation, &shard.take(&batch.state)));
         let value = value_loss(batch, shard, &values, norm);
-        let read = self.of_actions(representation, &shard.take(&batch.action), order);
+        let taken = self.head.encoded(&shard.take(&batch.action));
+        let read = self.of_actions(representation, &taken, order);
         let (ppo, ratio) = (&settings.ppo, Ratio::PerDimension);
         (PolicyTerms::new(batch, shard, &self.head, &shard.pick(&read), ppo, ratio), value)
     }
 
-    /// Returns the head's input for all agents at once, `[B, N, W]`, given the actions taken,
-    /// `[B, N, A]`.
+    /// Returns the head's input for all agents at once, `[B, N, W]`, given the actions taken, as
+    /// networks read them.
     fn of_actions(&self, representation: &Tensor, actions: &Tensor, order: &Order) -> Tensor {
         let width = actions.size()[2];
         let all = actions.constant_pad_nd([0, 0, 1, 0]);
@@ -234,19 +235,25 @@ impl Sequence {
                 &order.reach.up_to(i),
                 &mut decoded,
             );
+            let available = &input.available;
+            let available =
+                if available.numel() > 0 { of(available) } else { available.shallow_clone() };
             let (action, log_prob) = match mode {
-                ActMode::Deterministic => self.head.sample(&read, &ActMode::Deterministic),
+                ActMode::Deterministic => {
+                    self.head.sample(&read, &available, &ActMode::Deterministic)
+                }
                 ActMode::Sample { action, carried, graph, log_fresh } => {
                     let carried =
                         if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
                     let (action, carried) = (&of(action), &carried);
                     self.head.sample(
                         &read,
+                        &available,
                         &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh },
                     )
                 }
             };
-            last = action.where_self(&of(&order.present).unsqueeze(-1), &last);
+            last = self.head.encoded(&action).where_self(&of(&order.present).unsqueeze(-1), &last);
             actions.push(action);
             log_probs.push(log_prob);
         }

@@ -110,8 +110,8 @@ impl Exported {
             let row = |f: &Feature| json!({ "name": f.name, "unit": f.unit, "low": f.low, "high": f.high });
             features.list.iter().map(row).collect::<Vec<_>>()
         };
-        let actions = task.spec.actions.iter();
-        let actions = actions.map(|a| json!({ "name": a.name, "low": -1.0, "high": 1.0 }));
+        let actions = task.spec.actions.names().into_iter();
+        let actions = actions.map(|a| json!({ "name": a, "low": -1.0, "high": 1.0 }));
         let description = json!({
             "algorithm": algorithm,
             "scenario": scenario.name,

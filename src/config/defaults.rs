@@ -7,18 +7,45 @@ use super::presets::STEERING;
 use super::values::Values;
 use crate::algo;
 use crate::algo::settings::Exploration;
+use crate::env::EnvSpec;
 use crate::scenario::ScenarioFile;
 
+/// Entropy coefficient where actions are discrete (usual in PPO, and that of MAPPO's scripts).
+const ENTROPY_OF_CHOICES: f64 = 0.01;
+
+/// Where agents act.
+#[derive(Clone, Copy)]
+pub(super) enum Setting<'a> {
+    /// In a scenario.
+    Scenario(&'a ScenarioFile),
+    /// In an environment that has no scenario.
+    Environment(&'a EnvSpec),
+}
+
+impl Setting<'_> {
+    /// Returns the number of agents unless another one is set.
+    pub(super) fn agents(self) -> u32 {
+        match self {
+            Self::Scenario(file) => file.scenario.agents.default,
+            Self::Environment(spec) => u32::try_from(spec.agents).unwrap_or(u32::MAX),
+        }
+    }
+}
+
 impl Values {
-    /// Returns the defaults for `algorithm` with `agents` agents in a scenario, or in an environment
-    /// without one; `trained`: training starts from a trained policy.
+    /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
+    /// trained policy.
     pub(super) fn defaults(
-        file: Option<&ScenarioFile>,
+        setting: Setting<'_>,
         algorithm: &str,
         agents: u32,
         trained: bool,
     ) -> Self {
-        let mut values = Self::of(&Config::declared(file, agents), |key| {
+        let (file, spec) = match setting {
+            Setting::Scenario(file) => (Some(file), None),
+            Setting::Environment(spec) => (None, Some(spec)),
+        };
+        let mut values = Self::of(&Config::declared(file, setting.agents()), |key| {
             let own = key.starts_with("scenario.") || key == "agents";
             if own && file.is_some() { Origin::Scenario } else { Origin::Declared }
         });
@@ -31,6 +58,12 @@ impl Values {
             // A vehicle that is on the road at the horizon of an open-ended flow is not late.
             values
                 .follow("agents from route files", |config| config.train.bootstrap_horizon = true);
+        }
+        if spec.is_some_and(|spec| spec.actions.choices().is_some()) {
+            // Nothing else keeps a policy with discrete actions exploring.
+            values.follow("discrete actions", |config| {
+                config.learner.ppo.entropy_coefficient = ENTROPY_OF_CHOICES;
+            });
         }
         values.follow("method", |config| config.follow_method(algorithm));
         if trained {

@@ -6,10 +6,12 @@ use std::path::Path;
 use toml::Value;
 use toml::de::{DeTable, DeValue};
 
+use super::defaults::Setting;
 use super::origin::{Origin, Origins};
 use super::presets::Preset;
 use super::values::{Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
+use crate::env::EnvSpec;
 use crate::scenario::{Scenario, ScenarioFile};
 use crate::suggest::nearest;
 
@@ -64,24 +66,24 @@ impl Layers {
             return Err(unknown.unwrap_or(Error::NoScenario));
         };
         let file = ScenarioFile::read(Path::new(&path))?;
-        let (config, origins) = self.settings(parsed.get_ref(), Some(&file), 0)?;
+        let (config, origins) = self.settings(parsed.get_ref(), Setting::Scenario(&file))?;
         let scenario = config.scenario.load(&file, &origins)?;
         scenario.net_for(config.agents)?;
         let replaced = config.scenario.changes(&file);
         Ok(Resolution { config, scenario, origins, replaced })
     }
 
-    /// Resolves the layers for an environment that has no scenario, with `agents` agents.
+    /// Resolves the layers for an environment that has no scenario.
     ///
     /// # Errors
     /// [`Error`], with the place of the setting.
-    pub fn without_scenario(&self, agents: u32) -> Result<Config, Error> {
+    pub fn without_scenario(&self, spec: &EnvSpec) -> Result<Config, Error> {
         let parsed = self.parsed()?;
-        let (config, _) = self.settings(parsed.get_ref(), None, agents)?;
-        if config.agents == agents {
+        let (config, _) = self.settings(parsed.get_ref(), Setting::Environment(spec))?;
+        if config.agents as usize == spec.agents {
             return Ok(config);
         }
-        let message = format!("the environment has {agents} agents");
+        let message = format!("the environment has {} agents", spec.agents);
         let (place, key) = (self.document.name.clone(), "agents".to_owned());
         Err(Error::Value { place, key, message })
     }
@@ -94,12 +96,11 @@ impl Layers {
         })
     }
 
-    /// Returns all settings with their origins, in a scenario or, without one, for `agents` agents.
+    /// Returns all settings with their origins.
     fn settings(
         &self,
         parsed: &DeTable<'_>,
-        file: Option<&ScenarioFile>,
-        agents: u32,
+        setting: Setting<'_>,
     ) -> Result<(Config, Origins), Error> {
         let document = &self.document;
         // The number of agents and the method give the defaults of learning, so that they are looked
@@ -110,9 +111,9 @@ impl Layers {
         let algorithm = word("algorithm");
         let preset = word("preset").and_then(|name| Preset::named(&name));
         let mut values = Values::defaults(
-            file,
+            setting,
             algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM),
-            given.unwrap_or(file.map_or(agents, |file| file.scenario.agents.default)),
+            given.unwrap_or(setting.agents()),
             word("init_from").is_some_and(|from| !from.is_empty()),
         );
         if let Some(preset) = preset {

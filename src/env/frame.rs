@@ -13,6 +13,9 @@ pub struct Frame {
     /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that are
     /// present.
     pub comm: Vec<f32>,
+    /// `[N, K]`, 1 where a choice is open to an agent, of the K choices of a discrete action; empty
+    /// where actions are continuous.
+    pub available: Vec<f32>,
     /// `[N]`, 1 where an agent acts in the coming step.
     pub active: Vec<f32>,
     /// `[N]`, 1 where a slot's new trajectory starts with this frame, so that memories are cleared:
@@ -42,6 +45,7 @@ impl Frame {
             observation: vec![0.0; n * spec.observation.len()],
             state: vec![0.0; n * spec.state.len()],
             comm: vec![0.0; n * n],
+            available: vec![1.0; n * spec.actions.choices().unwrap_or(0)],
             active: vec![0.0; n],
             start: vec![0.0; n],
             reward: vec![0.0; n],
@@ -64,6 +68,7 @@ impl Frame {
             &mut self.truncated,
         ];
         arrays.into_iter().for_each(|array| array.fill(0.0));
+        self.available.fill(1.0);
     }
 
     /// Returns the observation of an agent, `[O]`.

@@ -36,4 +36,4 @@ pub use multi_agent::{MultiAgentEnv, Simple};
 pub use order::Position;
 pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace};
 pub use record::EpisodeRecord;
-pub use spec::{ActionDimension, Described, EnvSpec, Feature, Features, Group};
+pub use spec::{ActionDimension, ActionSpace, Described, EnvSpec, Feature, Features, Group};

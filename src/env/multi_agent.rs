@@ -55,11 +55,12 @@ pub trait MultiAgentEnv: Send {
 
     /// Begins an episode, which depends on `seed` alone. The frame comes with zeros everywhere:
     /// write who acts (`active`), who hears whom (`comm`, with 1 on the diagonal for those who are
-    /// there), the observations, and the privileged states if there are any.
+    /// there), the observations, and the privileged states if there are any. With discrete actions
+    /// all choices are open at first (`available`).
     fn reset(&mut self, seed: Seed, frame: &mut Frame);
 
     /// Takes a step with the actions `[N, A]`, of which only those of active agents count; each is
-    /// in −1..1. The frame comes as it was left, but without rewards and ends: write rewards, what
+    /// in −1..1, or the number of a choice. The frame comes as it was left, but without rewards and ends: write rewards, what
     /// is observed now, and who has come to an end ([`Frame::end`], [`Frame::truncate`]). An agent
     /// that comes into a slot begins with [`Frame::begin_agent`].
     ///
@@ -278,7 +279,10 @@ impl<E: MultiAgentEnv> World<E> {
     fn go_on(&mut self, actions: &[f32]) -> Result<(), Error> {
         self.episode.note(actions);
         self.actions.clear();
-        self.actions.extend(actions.iter().map(|action| action.clamp(-1.0, 1.0)));
+        match self.env.spec().actions.choices() {
+            None => self.actions.extend(actions.iter().map(|action| action.clamp(-1.0, 1.0))),
+            Some(_) => self.actions.extend_from_slice(actions),
+        }
         self.episode.step += 1;
         let before = self.frame.active.clone();
         self.frame.begin(false);
@@ -323,9 +327,17 @@ impl<E: MultiAgentEnv> World<E> {
         self.episode.end(success >= 1.0);
     }
 
-    /// Checks that the frame contains numbers, since one that does not would spoil all weights.
+    /// Checks that the frame contains numbers, since one that does not would spoil all weights, and
+    /// that every agent that acts has a choice.
     fn check(&self) -> Result<(), Error> {
         let frame = &self.frame;
+        if let Some(choices) = self.env.spec().actions.choices() {
+            for (i, open) in frame.available.chunks_exact(choices).enumerate() {
+                if frame.active[i] > 0.0 && open.iter().all(|one| *one < 0.5) {
+                    return Err(self.wrong(i, "no choice is open to it (`available`)"));
+                }
+            }
+        }
         let arrays = [
             ("observation", &frame.observation),
             ("state", &frame.state),

@@ -6,12 +6,66 @@
 pub struct EnvSpec {
     /// Number of agent slots N.
     pub agents: usize,
-    /// The A dimensions of an action, each in -1..=1.
-    pub actions: Vec<ActionDimension>,
+    /// What an agent can do.
+    pub actions: ActionSpace,
     /// The O features of one agent's observation.
     pub observation: Features,
     /// The S features of the privileged state as seen from one agent.
     pub state: Features,
+}
+
+/// What an agent can do.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ActionSpace {
+    /// An action is A numbers, each in -1..=1.
+    Continuous(Vec<ActionDimension>),
+    /// An action is one of K choices with these names, by its number. [`Frame::available`] says
+    /// which ones are open.
+    ///
+    /// [`Frame::available`]: super::Frame::available
+    Discrete(Vec<&'static str>),
+}
+
+impl ActionSpace {
+    /// Returns how many numbers an action is: A, or 1 for the number of a choice.
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Continuous(dimensions) => dimensions.len(),
+            Self::Discrete(_) => 1,
+        }
+    }
+
+    /// Returns whether an action is nothing.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Returns the number K of choices of a discrete action; `None` for a continuous one.
+    pub fn choices(&self) -> Option<usize> {
+        match self {
+            Self::Continuous(_) => None,
+            Self::Discrete(names) => Some(names.len()),
+        }
+    }
+
+    /// Returns with how many numbers networks read an action: A, or K.
+    pub fn encoded(&self) -> usize {
+        self.choices().unwrap_or_else(|| self.len())
+    }
+
+    /// Returns the names of an action's numbers.
+    pub fn names(&self) -> Vec<&'static str> {
+        match self {
+            Self::Continuous(dimensions) => dimensions.iter().map(|one| one.name).collect(),
+            Self::Discrete(_) => vec!["choice"],
+        }
+    }
+}
+
+impl From<Vec<ActionDimension>> for ActionSpace {
+    fn from(dimensions: Vec<ActionDimension>) -> Self {
+        Self::Continuous(dimensions)
+    }
 }
 
 /// One dimension of the agents' actions, and the initial behaviour of an untrained policy in it.

@@ -5,7 +5,7 @@ use rand::RngExt as _;
 use super::{Knowledge, Policy, WORLDS};
 use crate::env::{self, EnvSpec, Worlds};
 use crate::replay::{RecordedDiagnostics, Recorder};
-use crate::rng::{self, Seed};
+use crate::rng::{self, Rng, Seed};
 
 /// A policy with a state of its own, such as a trained one.
 pub trait Controller {
@@ -90,6 +90,10 @@ impl<'a> PolicyDriver<'a> {
                 for (e, actions) in (0..worlds.count()).zip(self.actions.chunks_mut(width)) {
                     let view = worlds.view(e);
                     let mut rng = self.seed.index(view.episode).index(u64::from(view.step)).rng();
+                    if let Some(choices) = self.spec.actions.choices() {
+                        choose(&view.frame.available, choices, &mut rng, actions);
+                        continue;
+                    }
                     if matches!(self.policy, Policy::Gaussian) {
                         rng::fill_normal(&mut rng, actions);
                     } else {
@@ -111,5 +115,14 @@ impl<'a> PolicyDriver<'a> {
             recorder.decide(worlds, e, actions, &diagnostics);
         }
         Ok(())
+    }
+}
+
+/// Draws one of the open choices for each agent, all with the same chance. `available` is `[N, K]`.
+fn choose(available: &[f32], choices: usize, rng: &mut Rng, actions: &mut [f32]) {
+    for (open, action) in available.chunks_exact(choices).zip(actions) {
+        let open: Vec<usize> = (0..choices).filter(|&choice| open[choice] > 0.5).collect();
+        let drawn = rng::below(rng, open.len().max(1));
+        *action = open.get(drawn).copied().unwrap_or(0) as f32;
     }
 }

@@ -43,6 +43,7 @@ impl Controller for LearnedPolicy<'_> {
                 observation: spec.observation.len(),
                 state: spec.state.len(),
                 actions: 0,
+                choices: spec.actions.choices().unwrap_or(0),
                 memory: 0,
                 graphs: 0,
             }),

@@ -137,7 +137,7 @@ fn compare_names(text: &str, spec: &EnvSpec) -> Result<(), String> {
     let metadata: Value = serde_json::from_str(text)
         .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
     let observation = spec.observation.list.iter().map(|feature| feature.name.as_str());
-    let actions = spec.actions.iter().map(|action| action.name);
+    let actions = spec.actions.names().into_iter();
     for (part, ours) in
         [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())]
     {
@@ -272,6 +272,7 @@ mod tests {
                     start: Tensor::zeros(&size(0)[..2], (tch::Kind::Float, Device::Cpu)),
                     memory: Tensor::zeros(size(0), (tch::Kind::Float, Device::Cpu)),
                     replaced: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
+                    available: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
                 };
                 let wanted = learner.act(&input, &ActMode::Deterministic).action;
                 let wanted = wanted.clamp(-1.0, 1.0);

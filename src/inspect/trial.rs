@@ -104,7 +104,7 @@ impl Trial {
             observation: ranges(&task.spec.observation),
             state: ranges(&task.spec.state),
         };
-        let width = task.spec.actions.len();
+        let (width, names) = (task.spec.actions.len(), task.spec.actions.names());
         let mut actions = vec![0.0; task.agents * width];
         let begin = Instant::now();
         for _ in 0..steps {
@@ -119,8 +119,8 @@ impl Trial {
                 };
                 let [steer, throttle] = world.pursuit(i, share * scenario.vehicle.max_speed);
                 let wanted = task.action(steer, throttle);
-                for ((act, wanted), of) in acts.iter_mut().zip(wanted).zip(&task.spec.actions) {
-                    let noisy = noisy[usize::from(of.name == "lane")];
+                for ((act, wanted), name) in acts.iter_mut().zip(wanted).zip(&names) {
+                    let noisy = noisy[usize::from(*name == "lane")];
                     *act = (wanted + noisy * symmetric(&mut noise)).clamp(-1.0, 1.0) as f32;
                 }
                 if frame.active[i] > 0.0 {

@@ -34,7 +34,9 @@ pub mod value_norm;
 
 pub use attention::{Mask, SelfAttention};
 pub use decoder::{Attention, Decoded, Reach, RelationBlock, TransformerDecoder};
-pub use distributions::{gaussian_entropy, gaussian_log_prob};
+pub use distributions::{
+    categorical_entropy, categorical_log_probs, gaussian_entropy, gaussian_log_prob,
+};
 pub use entity::{Entity, TokenGroup};
 pub use error::Error;
 pub use graph::{CommGraph, SLOPE};

@@ -27,8 +27,9 @@ pub struct RecordedDiagnostics {
 pub struct Recorder {
     episode: u64,
     agents: usize,
-    /// Names of the numbers of an action.
+    /// Names of the numbers of an action, and their bounds.
     actions: Vec<&'static str>,
+    bounds: [f32; 2],
     rows: Rows,
     finished: bool,
 }
@@ -64,9 +65,10 @@ impl Rows {
 impl Recorder {
     /// Creates a recorder that waits for the given episode.
     pub fn new(spec: &EnvSpec, episode: u64) -> Self {
-        let actions: Vec<&'static str> = spec.actions.iter().map(|one| one.name).collect();
+        let actions = spec.actions.names();
         let rows = Rows::new(spec.agents, actions.len());
-        Self { episode, agents: spec.agents, actions, rows, finished: false }
+        let bounds = spec.actions.choices().map_or([-1.0, 1.0], |k| [0.0, k as f32]);
+        Self { episode, agents: spec.agents, actions, bounds, rows, finished: false }
     }
 
     /// Returns the number of the world that plays the episode for which the recorder waits.
@@ -125,7 +127,7 @@ impl Recorder {
             for (a, column) in rows.action.iter_mut().enumerate() {
                 let action = actions
                     .get(i * self.actions.len() + a)
-                    .map_or(f64::NAN, |v| f64::from(v.clamp(-1.0, 1.0)));
+                    .map_or(f64::NAN, |v| f64::from(v.clamp(self.bounds[0], self.bounds[1])));
                 column.push(if acts { if_driving(action) } else { f64::NAN });
             }
             rows.value

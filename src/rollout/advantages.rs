@@ -149,6 +149,7 @@ mod tests {
             observation: 1,
             state: 1,
             actions: 1,
+            choices: 0,
             memory: 0,
             graphs: 0,
         });
@@ -205,6 +206,7 @@ mod tests {
             observation: 0,
             state: 0,
             actions: 1,
+            choices: 0,
             memory: 0,
             graphs: 0,
         };
@@ -240,6 +242,7 @@ mod tests {
             observation: 0,
             state: 0,
             actions: 1,
+            choices: 0,
             memory: 0,
             graphs: 0,
         };
@@ -301,7 +304,7 @@ mod tests {
             cooperation in 0.0f64..1.0,
         ) {
             let sizes =
-                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, memory: 0, graphs: 0 };
+                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, choices: 0, memory: 0, graphs: 0 };
             let (rows, flag) = (8, |b: bool| f32::from(u8::from(b)));
             let mut rollout = Rollout { cooperation, ..Rollout::new(sizes) };
             rollout.active[..rows * agents].iter_mut().zip(&active).for_each(|(to, from)| *to = flag(*from));

@@ -21,7 +21,9 @@ impl Trainer {
         let s = self.rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // The noise starts anew in each iteration: it depends on the iteration's number alone.
-        let correlation = schedule::correlation(&self.config, &self.progress);
+        let discrete = s.choices > 0;
+        let correlation =
+            if discrete { 0.0 } else { schedule::correlation(&self.config, &self.progress) };
         let mut noise = CorrelatedNoise::new(s.envs * s.agents * s.actions, correlation);
         let correlated = noise.is_correlated();
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);

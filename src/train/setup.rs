@@ -37,6 +37,7 @@ impl Trainer {
             observation: spec.observation.len(),
             state: spec.state.len(),
             actions: spec.actions.len(),
+            choices: spec.actions.choices().unwrap_or(0),
             memory: learner.training_memory(),
             graphs: learner.graphs(),
         };

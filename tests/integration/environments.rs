@@ -44,7 +44,7 @@ impl Line {
         let features = || Features::of("way", &[("left", "1", -1.0, 1.0), ("time", "1", 0.0, 1.0)]);
         let spec = EnvSpec {
             agents: AGENTS,
-            actions: vec![ActionDimension::named("speed")],
+            actions: vec![ActionDimension::named("speed")].into(),
             observation: features(),
             state: features(),
         };
@@ -146,7 +146,9 @@ fn config(algorithm: &str, more: &[&str]) -> Config {
     let flags = vec![("algorithm", Value::String(algorithm.to_owned()))];
     let sets = ["train.envs=4", "train.rollout_steps=64", "ppo.minibatch=128", "ppo.epochs=5"];
     let sets = sets.iter().chain(more).map(ToString::to_string).collect();
-    Layers { flags, sets, ..Layers::default() }.without_scenario(AGENTS as u32).expect("settings")
+    Layers { flags, sets, ..Layers::default() }
+        .without_scenario(&Line::new(Mistake::None).spec)
+        .expect("settings")
 }
 
 fn played(environment: &dyn Environment, policy: &Policy<'_>, episodes: u64) -> Metrics {
@@ -216,7 +218,7 @@ fn runs_go_on_bit_for_bit() {
     let text = stored.config.clone();
     let document = Document { name: "stored".to_owned(), text, generated: true };
     let layers = Layers { document, ..Layers::default() };
-    let settings = layers.without_scenario(AGENTS as u32).expect("settings");
+    let settings = layers.without_scenario(&Line::new(Mistake::None).spec).expect("settings");
     let mut second = Trainer::resume(settings, line(Mistake::None), &stored).expect("resumed");
     for _ in 0..2 {
         second.iterate().expect("an iteration");
@@ -298,6 +300,7 @@ fn mistakes_of_an_environment_are_named() {
     let text = fails(Mistake::Panic);
     assert!(text.contains("the environment panicked: there is no sixth step"), "{text}");
     let many = Layers { sets: vec!["agents=5".to_owned()], ..Layers::default() };
-    let error = many.without_scenario(AGENTS as u32).expect_err("refused").to_string();
+    let error =
+        many.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused").to_string();
     assert!(error.contains("the environment has 3 agents"), "{error}");
 }

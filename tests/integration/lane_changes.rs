@@ -235,10 +235,7 @@ fn lane_changes_of_sumos_driver_are_no_collisions() {
 #[test]
 fn a_request_ends_on_the_lane_that_it_asks_for() {
     let task = road(1, LaneChange::Action);
-    assert_eq!(
-        task.spec.actions.iter().map(|of| of.name).collect::<Vec<_>>(),
-        ["throttle", "lane"]
-    );
+    assert_eq!(task.spec.actions.names(), ["throttle", "lane"]);
     let mut env = VecEnv::new(&task, &agents_drive(1, 3, Hosting::default())).expect("SUMO runs");
     let mut step = |asked: f32| {
         env.step(&[0.4, asked]).expect("a step");

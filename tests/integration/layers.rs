@@ -25,7 +25,7 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("algo", &["nn", "onnx", "rollout", "rng", "env"]),
     ("record", &[]),
     ("plot", &["markup", "record", "words"]),
-    ("config", &["algo", "scenario", "suggest", "sumo"]),
+    ("config", &["algo", "env", "scenario", "suggest", "sumo"]),
     ("checkpoint", &["env", "record"]),
     ("metrics", &["env", "provenance", "stats"]),
     ("curves", &["metrics", "plot", "record", "stats"]),

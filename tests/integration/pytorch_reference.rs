@@ -13,7 +13,7 @@ use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
     Adam, CommGraph, Decoded, Entity, GraphAttention, GraphTransformer, Gru, Init, Mixer, Mlp,
     Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, TransformerDecoder,
-    ValueNorm, gaussian_entropy, gaussian_log_prob,
+    ValueNorm, categorical_entropy, categorical_log_probs, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -300,16 +300,29 @@ fn dimensions(count: usize) -> Vec<ActionDimension> {
 #[test]
 fn maddpg() {
     let case = Case::new("maddpg");
-    let spec =
-        EnvSpec { agents: 3, actions: dimensions(1), observation: features(4), state: features(3) };
+    let spec = EnvSpec {
+        agents: 3,
+        actions: dimensions(1).into(),
+        observation: features(4),
+        state: features(3),
+    };
     let mut settings = small();
     (settings.maddpg.updates, settings.ppo.average) = (1, 0.0);
     let mut learner = case.learner("maddpg", &spec, &settings, 2);
 
     // The buffer holds a single step, so that all transitions drawn are equal.
     let (steps, envs, agents) = (1, 1, 3);
-    let sizes =
-        Sizes { steps, envs, agents, observation: 4, state: 3, actions: 1, memory: 0, graphs: 0 };
+    let sizes = Sizes {
+        steps,
+        envs,
+        agents,
+        observation: 4,
+        state: 3,
+        actions: 1,
+        choices: 0,
+        memory: 0,
+        graphs: 0,
+    };
     let numbers = |key: &str| Vec::<f32>::try_from(case.get(key).reshape([-1])).expect("numbers");
     let mut rollout = Rollout::new(sizes);
     (rollout.observation, rollout.state) = (numbers("observation"), numbers("state"));
@@ -357,7 +370,7 @@ fn decisions_and_values() {
         let actions = case.get("action").size()[2] as usize;
         let spec = EnvSpec {
             agents: 3,
-            actions: dimensions(actions),
+            actions: dimensions(actions).into(),
             observation: features(4),
             state: features(3),
         };
@@ -378,6 +391,7 @@ fn decisions_and_values() {
             start: case.get("start").unsqueeze(-1).expand([3, 3], false),
             memory: if remembers { case.get("memory") } else { nothing() },
             replaced: nothing(),
+            available: nothing(),
         };
         let present = case.get("present");
         let check = |key: &str, found: &Tensor| {
@@ -417,6 +431,20 @@ fn gaussian() {
         &(log_prob + entropy),
         &[("grad_mean", &mean), ("grad_log_std", &log_std)],
     );
+}
+
+/// Discrete actions of which some are not open.
+#[test]
+fn categorical() {
+    let case = Case::new("categorical");
+    let logits = case.input("logits");
+    let log_probs = categorical_log_probs(&logits, &case.get("available"));
+    let choice = case.get("choice").to_kind(Kind::Int64).unsqueeze(-1);
+    let log_prob = log_probs.gather(-1, &choice, false).squeeze_dim(-1);
+    let entropy = categorical_entropy(&log_probs);
+    case.check("log_prob", &log_prob);
+    case.check("entropy", &entropy);
+    case.check_gradients(&(log_prob + entropy), &[("grad_logits", &logits)]);
 }
 
 /// Value normalisation agrees with the reference; its `f64` state agrees to 1e-12.

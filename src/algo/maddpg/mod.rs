@@ -114,6 +114,7 @@ const fn method(
         messages: false,
         any_number: true,
         team: false,
+        discrete: false,
         recurrent: false,
         on_policy: false,
         latent,

@@ -48,7 +48,7 @@ impl Actor {
     pub(super) fn head(&self) -> &GaussianHead {
         match self {
             Self::Plain { head, .. } => head,
-            Self::Latent(policy) => &policy.head,
+            Self::Latent(policy) => policy.head.gaussian(),
         }
     }
 

@@ -198,6 +198,8 @@ impl ReplayBuffer {
             observation: size(observation),
             state: size(width),
             actions: size(actions),
+            // The method is for continuous actions.
+            choices: 0,
             memory: size(memory),
             graphs: size(graphs),
         });
@@ -253,6 +255,7 @@ mod tests {
             observation: 1,
             state: 1,
             actions: 1,
+            choices: 0,
             memory: 0,
             graphs: 0,
         };

@@ -110,6 +110,7 @@ fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
         observation: task.spec.observation.len(),
         state: 0,
         actions: 0,
+        choices: 0,
         memory: learner.memory(),
         graphs: 0,
     };

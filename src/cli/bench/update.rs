@@ -159,6 +159,7 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
         observation: task.spec.observation.len(),
         state: task.spec.state.len(),
         actions: task.spec.actions.len(),
+        choices: 0,
         memory: learner.memory(),
         graphs: learner.graphs(),
     });

@@ -127,7 +127,7 @@ impl Task {
             dropped: Arc::default(),
             spec: EnvSpec {
                 agents: agents as usize,
-                actions: actions(&scenario.control),
+                actions: actions(&scenario.control).into(),
                 observation: observed,
                 state: known,
             },

@@ -169,6 +169,7 @@ fn an_empty_slot_changes_nothing() {
             start: without(&input.start),
             memory: without(&input.memory),
             replaced: nothing(),
+            available: nothing(),
         };
         let gap = without(&five.act(&input, &ActMode::Deterministic).action);
         let none = four.act(&small, &ActMode::Deterministic).action;

@@ -57,6 +57,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         observation: o,
         state: 3,
         actions: 1,
+        choices: 0,
         memory: learner.memory(),
         graphs: learner.graphs(),
     };
@@ -107,6 +108,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
                 start: shaped(&rollout.start[rollout.at(t, 1)], 1).squeeze_dim(-1),
                 memory: shaped(&memory, sizes.memory),
                 replaced: nothing(),
+                available: nothing(),
             };
             let graph = if learner.graphs() > 0 {
                 shaped(&rollout.graph_noise[rollout.at(t, n * sizes.graphs)], n * sizes.graphs)

@@ -1,6 +1,7 @@
 //! Properties that every learner must have. The tests use no simulator.
 
 mod communication;
+mod discrete;
 mod games;
 mod radio;
 mod states;
@@ -39,7 +40,7 @@ fn features(count: usize) -> Features {
 fn spec(agents: usize) -> EnvSpec {
     EnvSpec {
         agents,
-        actions: vec![ActionDimension::named("throttle")],
+        actions: vec![ActionDimension::named("throttle")].into(),
         observation: features(4),
         state: features(3),
     }
@@ -86,6 +87,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
         start: Tensor::zeros([e, n], (Kind::Float, Device::Cpu)),
         memory,
         replaced: nothing(),
+        available: nothing(),
     }
 }
 
@@ -145,6 +147,7 @@ fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bo
         observation: 4,
         state: 3,
         actions: 1,
+        choices: 0,
         memory: learner.training_memory(),
         graphs: learner.graphs(),
     };

@@ -58,6 +58,7 @@ fn training_hears_what_an_evaluation_hears() {
                     start: start.shallow_clone(),
                     memory: memory.shallow_clone(),
                     replaced: nothing(),
+                    available: nothing(),
                 };
                 let (action, carried) = (&zeros(&[2, AGENTS, 1]), &nothing());
                 let graph = &zeros(&[2, AGENTS, AGENTS * learner.graphs() as i64]);

@@ -246,7 +246,7 @@ fn many_agents_learn_as_few_do() {
 fn several_action_dimensions_are_learned_from() {
     for name in algo::NAMES {
         let spec = EnvSpec {
-            actions: ["steer", "throttle"].map(ActionDimension::named).to_vec(),
+            actions: ["steer", "throttle"].map(ActionDimension::named).to_vec().into(),
             ..spec(3)
         };
         let mut learner = build(name, &spec, &small(EncoderKind::Mlp), 2);

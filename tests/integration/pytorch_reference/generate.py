@@ -883,6 +883,16 @@ def maddpg_iwol():
     of_a_crew("maddpg_iwol", people, actor, critic, action=action, value=in_units_of_reward(values))
 
 
+def categorical():
+    logits = torch.randn(6, 4, requires_grad=True)
+    available, choice = (torch.rand(6, 4) > 0.4).float(), torch.tensor([3, 1, 0, 2, 2, 1])
+    available[torch.arange(6), choice] = 1
+    chances = torch.distributions.Categorical(logits=logits.masked_fill(available < 0.5, -1e9))
+    log_prob, entropy = chances.log_prob(choice), chances.entropy()
+    put("categorical", logits=logits, available=available, choice=choice.float(), log_prob=log_prob, entropy=entropy,
+        grad_logits=grad(log_prob + entropy, logits)[0])
+
+
 def write(path):
     kinds = {torch.float32: "F32", torch.float64: "F64"}
     header, data = {}, b""
@@ -900,6 +910,6 @@ def write(path):
 cases = (mlp, gru, entity, graph, transformer, gaussian, value_norm, adam, ppo, decoder, commformer, magic, mixer, maddpg)
 of_crews = (icp, magic_crew, lambda: iwol_crew("im_iwol"), lambda: iwol_crew("ex_iwol"), maddpg_iwol)
 of_more_crews = (mappo, mat_crew, commformer_crew)  # last, so that the others' draws stay
-for case in (*cases, *of_crews, *of_more_crews):
+for case in (*cases, *of_crews, *of_more_crews, categorical):
     case()
 write(pathlib.Path(__file__).parent / "golden.safetensors")
