@@ -80,7 +80,7 @@ pub trait Worlds: Send {
     /// Returns what world `e` shows.
     fn view(&self, e: usize) -> WorldView<'_>;
 
-    /// Takes a step in all worlds with the actions `[E, N, A]`. A world whose episode has ended
+    /// Takes a step in all worlds with the actions `[E, N, A]`, or of more worlds. A world whose episode has ended
     /// begins the next one instead.
     ///
     /// # Errors

@@ -83,6 +83,12 @@ impl Frame {
         &mut self.state[agent * width..][..width]
     }
 
+    /// Returns which choices are open to an agent, `[K]`; empty where actions are continuous.
+    pub fn available_to(&mut self, agent: usize) -> &mut [f32] {
+        let width = self.available.len() / self.active.len();
+        &mut self.available[agent * width..][..width]
+    }
+
     /// Begins the trajectory of an agent that comes into an empty slot after the episode has begun:
     /// it acts from now on, and memories of the slot are cleared.
     pub fn begin_agent(&mut self, agent: usize) {

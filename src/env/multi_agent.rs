@@ -202,7 +202,9 @@ impl<E: MultiAgentEnv> Worlds for LockStep<E> {
     }
 
     fn step(&mut self, actions: &[f32]) -> Result<(), Error> {
-        let width = actions.len() / self.worlds.len();
+        let Some(first) = self.worlds.first() else { return Ok(()) };
+        // An evaluation gives the actions of more worlds than there are at its end.
+        let width = first.actions_width();
         let each = self.worlds.par_iter_mut().zip(actions.par_chunks_exact(width));
         // A handful of worlds is not worth another core.
         each.with_min_len(4).try_for_each(|(world, actions)| world.step(actions))
@@ -247,6 +249,12 @@ impl<E: MultiAgentEnv> World<E> {
             actions: Vec::new(),
             finished: None,
         }
+    }
+
+    /// Returns how many numbers the actions of all agents are.
+    fn actions_width(&self) -> usize {
+        let spec = self.env.spec();
+        spec.agents * spec.actions.len()
     }
 
     /// Takes a step, or begins the next episode.

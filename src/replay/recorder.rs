@@ -7,7 +7,7 @@ use base64::engine::general_purpose::STANDARD;
 
 use super::{Column, FORMAT, Recording, Signal, Size, Status};
 use crate::env::{
-    Backdrop, EnvSpec, EpisodeRecord, FigureStatus, Picture, WorldPhase, WorldView, Worlds,
+    Backdrop, EnvSpec, EpisodeRecord, FigureStatus, Lane, Picture, WorldPhase, WorldView, Worlds,
 };
 
 /// Number of steps for which a vehicle that has arrived stays visible.
@@ -57,6 +57,25 @@ struct Rows {
 }
 
 impl Rows {
+    /// Returns a strip of ground below all agents, for environments that draw none.
+    fn ground(&self) -> Lane {
+        const MARGIN: f64 = 1.0;
+        let ends = |values: &[f64]| {
+            let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+            let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+            if least.is_finite() && most.is_finite() { [least, most] } else { [0.0, 0.0] }
+        };
+        let ([left, right], [bottom, top]) = (ends(&self.x), ends(&self.y));
+        let middle = f64::midpoint(bottom, top);
+        Lane {
+            id: "ground".to_owned(),
+            width: top - bottom + 2.0 * MARGIN,
+            internal: false,
+            crossing: false,
+            shape: vec![[left - MARGIN, middle], [right + MARGIN, middle]],
+        }
+    }
+
     fn new(agents: usize, actions: usize) -> Self {
         Self { action: vec![Vec::new(); actions], arrived: vec![0; agents], ..Self::default() }
     }
@@ -257,7 +276,11 @@ impl Recorder {
             comm_range: backdrop.range.is_finite().then_some(backdrop.range),
             communicates: self.rows.graph,
             vehicle: Size { length, width },
-            lanes: backdrop.lanes.clone(),
+            lanes: if backdrop.lanes.is_empty() {
+                vec![self.rows.ground()]
+            } else {
+                backdrop.lanes.clone()
+            },
             walls: backdrop.walls.clone(),
             columns,
             status: STANDARD.encode(&self.rows.status),

@@ -7,11 +7,12 @@ use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::{
-    ActionDimension, EnvSpec, Environment, Features, Figure, FigureStatus, Frame, MultiAgentEnv,
-    Picture, Simple, Stream, Worlds,
+    ActionDimension, ActionSpace, EnvSpec, Environment, Features, Figure, FigureStatus, Frame,
+    MultiAgentEnv, Picture, Simple, Stream, Worlds,
 };
 use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
 use iwol_sumo::metrics::Metrics;
+use iwol_sumo::replay::{Recorder, Recording, Title};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::train::{RunDir, Trainer};
 use toml::Value;
@@ -131,6 +132,7 @@ impl MultiAgentEnv for Line {
     fn picture(&self) -> Option<Picture> {
         let agent = |[place, _]: [f32; 2]| Figure {
             centre: [f64::from(place), 0.0],
+            size: [0.5, 0.5],
             status: FigureStatus::Active,
             ..Figure::default()
         };
@@ -285,6 +287,33 @@ fn frames_tell_who_comes_and_who_ends() {
     assert_eq!((begun, ended), ([1, 1, 2], [1, 1, 1]));
 }
 
+/// An episode is recorded and played back as those of vehicles are.
+#[test]
+fn episodes_are_recorded_for_the_player() {
+    let environment = line(Mistake::None);
+    let mut recorder = Recorder::new(environment.spec(), 1);
+    let stop = AtomicBool::new(false);
+    let observer = EvaluationObserver {
+        stop: &stop,
+        report: &mut |_| {},
+        recorder: Some(&mut recorder),
+        beside: false,
+    };
+    let policy = Policy::Constant(vec![0.2]);
+    let found = evaluate(&*environment, &policy, 3, Seed::new(3), observer).expect("it runs");
+    let title = Title { environment: environment.name(), policy: "slow", seed: 3 };
+    let backdrop = environment.backdrop().expect("a backdrop");
+    let recording = recorder.finish(&backdrop, &title, Some(&found.episodes[1])).expect("played");
+    let folder = folder();
+    let file = folder.path().join("episode.json");
+    recording.save(&file).expect("saved");
+    let again = Recording::load(&file).expect("loaded");
+    assert_eq!(again, recording);
+    assert_eq!(again.steps, found.episodes[1].episode_length as usize + 1);
+    assert_eq!(again.summary["steps"], f64::from(found.episodes[1].episode_length));
+    assert!(again.player().contains("line") && again.still(0).contains("<svg"));
+}
+
 #[test]
 fn mistakes_of_an_environment_are_named() {
     let fails = |mistake: Mistake| {
@@ -303,4 +332,96 @@ fn mistakes_of_an_environment_are_named() {
     let error =
         many.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused").to_string();
     assert!(error.contains("the environment has 3 agents"), "{error}");
+}
+
+/// Agents on five places in a row choose a direction; at the ends one of them is closed.
+struct Row {
+    spec: EnvSpec,
+    agents: [[i32; 2]; AGENTS],
+    step: u32,
+    arrived: usize,
+}
+
+impl Row {
+    fn new() -> Self {
+        let features = || Features::of("way", &[("left", "4", -1.0, 1.0)]);
+        let spec = EnvSpec {
+            agents: AGENTS,
+            actions: ActionSpace::Discrete(vec!["down", "stay", "up"]),
+            observation: features(),
+            state: features(),
+        };
+        Self { spec, agents: [[0; 2]; AGENTS], step: 0, arrived: 0 }
+    }
+
+    fn show(&self, frame: &mut Frame) {
+        for (i, [place, goal]) in self.agents.into_iter().enumerate() {
+            frame.observation_of(i)[0] = (goal - place) as f32 / 4.0;
+            frame.state_of(i)[0] = (goal - place) as f32 / 4.0;
+            frame.available_to(i).copy_from_slice(&[
+                f32::from(u8::from(place > 0)),
+                1.0,
+                f32::from(u8::from(place < 4)),
+            ]);
+        }
+    }
+}
+
+impl MultiAgentEnv for Row {
+    fn spec(&self) -> &EnvSpec {
+        &self.spec
+    }
+
+    fn reset(&mut self, seed: Seed, frame: &mut Frame) {
+        let mut rng = seed.rng();
+        self.agents = [[0; 2]; AGENTS].map(|_| [0, 1].map(|_| rng::below(&mut rng, 5) as i32));
+        (self.step, self.arrived) = (0, 0);
+        frame.active.fill(1.0);
+        frame.comm.fill(1.0);
+        self.show(frame);
+    }
+
+    fn step(&mut self, actions: &[f32], frame: &mut Frame) {
+        self.step += 1;
+        for i in (0..AGENTS).filter(|&i| frame.active[i] > 0.0).collect::<Vec<_>>() {
+            assert!(frame.available_to(i)[actions[i] as usize] > 0.5, "the choice is open");
+            self.agents[i][0] += actions[i] as i32 - 1;
+            let [place, goal] = self.agents[i];
+            frame.reward[i] = if place == goal { 1.0 } else { -0.1 };
+            if place == goal {
+                self.arrived += 1;
+                frame.end(i);
+            } else if self.step == 8 {
+                frame.truncate(i);
+            }
+        }
+        self.show(frame);
+    }
+
+    fn success(&self) -> f64 {
+        self.arrived as f64 / AGENTS as f64
+    }
+}
+
+/// Methods learn to choose, and never choose what is closed.
+#[test]
+fn methods_learn_discrete_actions() {
+    let environment = || Box::new(Simple::new("row", Row::new));
+    let blind = played(&*environment(), &Policy::Uniform, 50);
+    assert!(blind.success.mean < 0.9, "{:?}", blind.success);
+    for name in ["mappo", "ex-iwol"] {
+        let flags = vec![("algorithm", Value::String(name.to_owned()))];
+        let sets = ["train.envs=4", "train.rollout_steps=64", "ppo.minibatch=128"];
+        let sets = sets.map(str::to_owned).to_vec();
+        let layers = Layers { flags, sets, ..Layers::default() };
+        let config = layers.without_scenario(&Row::new().spec).expect("settings");
+        assert_eq!(config.learner.ppo.entropy_coefficient, 0.01);
+        let mut trainer = Trainer::new(config, environment()).expect("a trainer");
+        for _ in 0..40 {
+            trainer.iterate().expect("an iteration");
+        }
+        let found = trainer.validate(&AtomicBool::new(false)).expect("it runs").metrics();
+        let success = found.expect("episodes").success;
+        assert!(success.mean > 0.97, "{name}: {success:?}");
+    }
 }

@@ -190,8 +190,9 @@ fn modules_import_only_what_they_may() {
 /// Learners and evaluations work in any environment: they know nothing of vehicles or of SUMO.
 #[test]
 fn learners_know_no_vehicles() {
-    const ANY: [&str; 13] = [
+    const ANY: [&str; 14] = [
         "ActionDimension",
+        "ActionSpace",
         "DrivingRecord",
         "EnvSpec",
         "Environment",
