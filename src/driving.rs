@@ -137,7 +137,7 @@ mod trainer {
         if fewest > 0 {
             task = task.with_fewest(fewest as usize);
         }
-        Ok(Traffic::new(&Arc::new(task), config.hosting()))
+        Ok(Traffic::new(&Arc::new(task), config.hosting()).described_by(scenario))
     }
 
     /// The least number of agents in an episode exceeds the number of agents.

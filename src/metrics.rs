@@ -26,15 +26,20 @@ pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 /// Number of steps of the window over which the paper sums rewards.
 pub const WINDOW: usize = 1000;
 
+/// Number of metrics of vehicles that say how their trips ended. They come first.
+const OUTCOMES: usize = 5;
+
 /// Share of agents that arrived: the metric by which policies are compared.
 pub const SUCCESS: &Metric = &Metrics::REGISTERED[0];
 
 /// Returns all metrics, in the order of tables.
 pub fn all() -> impl Iterator<Item = &'static Metric> {
-    let (success, others) = Metrics::REGISTERED.split_at(1);
+    let (success, rewards) = Metrics::REGISTERED.split_at(1);
+    let (outcomes, details) = DrivingMetrics::REGISTERED.split_at(OUTCOMES);
     (success.iter())
-        .chain(DrivingMetrics::REGISTERED)
-        .chain(others)
+        .chain(outcomes)
+        .chain(rewards)
+        .chain(details)
         .chain(FlowSummary::REGISTERED)
         .chain(BackgroundSummary::REGISTERED)
 }

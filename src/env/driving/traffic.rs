@@ -15,6 +15,7 @@ use crate::env::error::Error;
 use crate::env::expert::Pursuit;
 use crate::env::picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace};
 use crate::env::spec::EnvSpec;
+use crate::scenario::Scenario;
 use crate::sumo::Hosting;
 use crate::sumo::net::{EdgeFunction, Net};
 
@@ -27,12 +28,20 @@ pub struct Traffic {
     hosting: Hosting,
     driver: Driver,
     rule: Option<Pursuit>,
+    /// The scenario as its file has it, of which the task's is made.
+    file: Option<Arc<Scenario>>,
 }
 
 impl Traffic {
     /// Agents control their vehicles by actions.
     pub fn new(task: &Arc<Task>, hosting: Hosting) -> Self {
-        Self { task: Arc::clone(task), hosting, driver: Driver::Agents, rule: None }
+        Self { task: Arc::clone(task), hosting, driver: Driver::Agents, rule: None, file: None }
+    }
+
+    /// Run folders contain this scenario, of which the task was made.
+    #[must_use]
+    pub fn described_by(self, scenario: &Scenario) -> Self {
+        Self { file: Some(Arc::new(scenario.clone())), ..self }
     }
 
     /// SUMO drives the agents' vehicles.
@@ -90,7 +99,8 @@ impl Environment for Traffic {
     }
 
     fn description(&self, folder: &Path) -> std::io::Result<Option<(&'static str, String)>> {
-        Ok(Some(("scenario.xml", self.task.scenario.to_xml_in(folder)?)))
+        let scenario = self.file.as_deref().unwrap_or(&self.task.scenario);
+        Ok(Some(("scenario.xml", scenario.to_xml_in(folder)?)))
     }
 }
 
