@@ -27,13 +27,14 @@ mod values;
 pub use document::Document;
 pub use error::Error;
 pub use flat::{Change, flatten, full_name, plain};
-pub use layers::{Layers, Resolution};
+pub use layers::{Layers, Place, Resolution};
 pub use origin::{Origin, Origins};
 pub use presets::{PRESETS, Preset};
 pub(crate) use scenario::flat_changes;
 pub use scenario::{ScenarioSettings, changes};
 pub use uses::no_matter_of_evaluation;
 
+use defaults::Setting;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -43,7 +44,7 @@ use smart_default::SmartDefault;
 use toml::Table;
 
 use crate::algo;
-use crate::scenario::ScenarioFile;
+use crate::env::BuiltIn;
 use crate::sumo::{Choice, Hosting};
 
 /// The method that is trained unless another one is set.
@@ -78,6 +79,10 @@ pub struct Config {
     /// agents (CommFormer: of as many). Empty: training starts from new weights.
     #[schemars(extend("default" = ""))]
     pub init_from: PathBuf,
+    /// Name of an environment that comes along and needs no SUMO, instead of a scenario.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    #[schemars(extend("enum" = BuiltIn::NAMES, "default" = ""))]
+    pub environment: String,
     /// The scenario's file, or a table with the file and values that replace those in the file.
     pub scenario: ScenarioSettings,
     /// The training loop.
@@ -87,7 +92,7 @@ pub struct Config {
     /// The settings of the learner.
     #[serde(flatten)]
     pub learner: algo::Settings,
-    /// The radio between agents; only for evaluation.
+    /// The channel between agents, in training and in evaluation.
     pub channel: algo::Channel,
 }
 
@@ -194,11 +199,16 @@ impl Config {
     /// Default of [`Config::steps`]: a limit. Without steering, most runs stop long before it.
     const STEPS: u64 = 1_200_000;
 
-    /// Returns the declared defaults, with the values in the scenario's file if there is one.
-    fn declared(file: Option<&ScenarioFile>, agents: u32) -> Self {
+    /// Returns the declared defaults, with the values of where agents act.
+    fn declared(setting: Setting<'_>) -> Self {
+        let (file, environment) = match setting {
+            Setting::Scenario(file) => (Some(file), ""),
+            Setting::Environment { name, .. } => (None, name),
+        };
         Self {
             algorithm: DEFAULT_ALGORITHM.to_owned(),
-            agents: file.map_or(agents, |file| file.scenario.agents.default),
+            agents: setting.agents(),
+            environment: environment.to_owned(),
             seed: 0,
             steps: Self::STEPS,
             device: algo::ComputeDevice::Cpu,

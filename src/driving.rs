@@ -9,7 +9,7 @@ use crate::rng::Seed;
 use crate::sumo::Hosting;
 
 #[cfg(feature = "learn")]
-pub use trainer::{TooFew, resume, traffic, trainer};
+pub use trainer::{TooFew, resume, traffic, train_in, trainer};
 
 /// A policy that controls the vehicles.
 pub enum Policy<'a> {
@@ -92,8 +92,8 @@ mod trainer {
     use std::sync::Arc;
 
     use crate::checkpoint::Checkpoint;
-    use crate::config::Config;
-    use crate::env::{Task, Traffic};
+    use crate::config::{Config, Place};
+    use crate::env::{Environment, Task, Traffic};
     use crate::scenario::Scenario;
     use crate::train::{Error, Trainer};
 
@@ -117,6 +117,26 @@ mod trainer {
     ) -> Result<Trainer, Error> {
         let traffic = traffic(&config, scenario)?;
         Trainer::resume(config, Box::new(traffic), checkpoint)
+    }
+
+    /// Starts a run, or continues it from a checkpoint, on a scenario or in an environment that comes
+    /// along.
+    ///
+    /// # Errors
+    /// As [`trainer`] and [`resume`].
+    pub fn train_in(
+        config: Config,
+        place: &Place,
+        checkpoint: Option<&Checkpoint>,
+    ) -> Result<Trainer, Error> {
+        let environment: Box<dyn Environment> = match place {
+            Place::Scenario(scenario) => Box::new(traffic(&config, scenario)?),
+            Place::BuiltIn(built_in) => built_in.environment(),
+        };
+        match checkpoint {
+            None => Trainer::new(config, environment),
+            Some(checkpoint) => Trainer::resume(config, environment, checkpoint),
+        }
     }
 
     /// Returns the environment of a run on a scenario.

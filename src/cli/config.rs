@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use iwol_sumo::algo;
 use iwol_sumo::config::{Config, Document, Layers, PRESETS};
+use iwol_sumo::env::BuiltIn;
 use toml::Value;
 
 use super::Verdict;
@@ -31,6 +32,8 @@ pub(super) struct SettingsArgs {
     /// Scenario file, e.g. scenarios/intersection.xml.
     #[arg(long)]
     scenario: Option<PathBuf>,
+    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {}", BuiltIn::NAMES.join(", ")))]
+    environment: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,
     /// Number of vehicles at spawn places, which are all agents unless
@@ -82,6 +85,7 @@ impl SettingsArgs {
         let flags = [
             ("preset", text(&self.preset)),
             ("scenario", path(&self.scenario)),
+            ("environment", text(&self.environment)),
             ("algorithm", text(&self.algorithm)),
             ("agents", self.agents.map(|agents| integer(agents.into())).transpose()?),
             ("seed", self.seed.map(integer).transpose()?),

@@ -1,5 +1,6 @@
 //! `iwol evaluate`
 
+mod arena;
 #[cfg(feature = "learn")]
 mod setup;
 #[cfg(not(feature = "learn"))]
@@ -12,7 +13,8 @@ use std::sync::atomic::Ordering;
 
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::driving::{POLICIES, Policy, evaluate};
+use iwol_sumo::driving::{POLICIES, Policy};
+use iwol_sumo::env::BuiltIn;
 use iwol_sumo::evaluate::{Controller, EvaluationObserver};
 use iwol_sumo::metrics::EvaluationResult;
 use iwol_sumo::provenance::Program;
@@ -40,8 +42,10 @@ pub(super) struct Args {
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]
-    #[arg(long, required_unless_present = "run")]
+    #[arg(long, required_unless_present_any = ["run", "environment"])]
     scenario: Option<PathBuf>,
+    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {} [default: the run's]", BuiltIn::NAMES.join(", ")))]
+    environment: Option<String>,
     /// Number of vehicles [default: the run's, or the scenario's]
     #[arg(long)]
     agents: Option<u32>,
@@ -96,8 +100,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let model = || Policy::Learned(&**next.next().expect("a model for each name"));
         policies.push((name, policy.unwrap_or_else(model)));
     }
-    let Setup { task, hosting, .. } = &setup;
-    if let Some(line) = task.left_out() {
+    let arena = &setup.arena;
+    for (name, policy) in &policies {
+        arena.check(name, policy)?;
+    }
+    if let Some(line) = arena.left_out() {
         say!("{line}");
     }
     let trained = setup.controller();
@@ -145,7 +152,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             .record
             .as_ref()
             .filter(|_| number == 0)
-            .map(|_| Recorder::new(&task.spec, args.record_episode));
+            .map(|_| Recorder::new(arena.spec(), args.record_episode));
         let mut show = |done| bar.set_position(done);
         let observer = EvaluationObserver {
             stop: &stop,
@@ -153,7 +160,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             recorder: recorder.as_mut(),
             beside: false,
         };
-        let evaluation = evaluate(task, policy, args.episodes, seed, hosting, observer)
+        let evaluation = arena
+            .evaluate(policy, args.episodes, seed, observer)
             .with_context(|| format!("the evaluation of {name} failed"))?;
         bar.finish_and_clear();
         if stop.load(Ordering::Relaxed) {
@@ -172,7 +180,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .as_ref()
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let title = Title { environment: &setup.scenario, policy: &driver, seed: args.seed };
-            let recording = recorder.finish(&task.backdrop()?, &title, record);
+            let recording = recorder.finish(&arena.backdrop()?, &title, record);
             recorded =
                 Some((recording.context("the recorded episode did not reach its end")?, path));
         }
@@ -180,8 +188,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         rows.push(EvaluationResult {
             scenario: setup.scenario.clone(),
             agents: setup.agents,
-            audited: hosting.audit,
-            learners: (task.agents < setup.agents as usize).then_some(task.agents),
+            audited: arena.is_audited(),
+            learners: arena.learners(setup.agents),
             policy: name.clone(),
             episodes: args.episodes,
             seed: args.seed,

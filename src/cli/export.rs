@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use iwol_sumo::algo::onnx;
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{Document, Layers};
+use iwol_sumo::config::{Document, Layers, Place};
 use iwol_sumo::env::{Feature, Features, Task};
 use iwol_sumo::onnx::Graph;
 use iwol_sumo::provenance::Program;
@@ -96,7 +96,10 @@ impl Exported {
         let source = format!("{} (stored settings)", run.display());
         let document = Document::of_run(source, checkpoint.config.clone());
         let resolved = Layers { document, ..Layers::default() }.resolve()?;
-        let (config, scenario) = (resolved.config, resolved.scenario);
+        let (config, place) = (resolved.config, resolved.place);
+        let Place::Scenario(scenario) = place else {
+            bail!("policies of environments without SUMO cannot be written as ONNX or for PyTorch");
+        };
         let task = Task::new(&scenario, config.agents)?;
         let algorithm = &checkpoint.algorithm;
         let graph = onnx::graph(algorithm, &task.spec, &config.learner, &checkpoint.learner);

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document};
+use iwol_sumo::config::{self, Config, Document, Place, Resolution};
 use iwol_sumo::driving;
 use iwol_sumo::sumo::Choice;
 use iwol_sumo::train::{Report, RunDir, TrainingEnd, human_duration};
@@ -48,6 +48,15 @@ fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     }
 }
 
+/// Returns the scenario's file, or the name of the environment.
+fn place_of(config: &Config) -> String {
+    if config.environment.is_empty() {
+        config.scenario.file.display().to_string()
+    } else {
+        config.environment.clone()
+    }
+}
+
 fn same_file(a: &Path, b: &Path) -> bool {
     a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
@@ -59,20 +68,20 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         // A resumed run uses its own settings.
         layers.document = Document::read(&RunDir::new(out).config())?;
     }
-    let (mut config, mut scenario) = Config::resolve(&layers)?;
+    let Resolution { mut config, mut place, .. } = layers.resolve()?;
     if let Some(why) = config.cannot_be_trained() {
         bail!(why);
     }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs")
-            .join(&scenario.name)
+            .join(place.name())
             .join(&config.algorithm)
             .join(format!("seed_{}", config.seed))
     }));
     if args.resume && given.config.is_none() && args.out.is_none() {
         // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
-        (config, scenario) = Config::resolve(&layers)?;
+        Resolution { config, place, .. } = layers.resolve()?;
     }
     if !args.resume && dir.last().exists() {
         bail!(
@@ -89,13 +98,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if args.resume && given.init_from.is_some() {
         bail!("--resume continues with the weights of the run; omit --init-from");
     }
-    let fingerprint = scenario.fingerprint();
+    let fingerprint = place.fingerprint();
     if args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint) {
         bail!(
             "`{}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
              the original scenario, or start a new run from this run's policy with --init-from",
             dir.path().display(),
-            config.scenario.file.display()
+            place_of(&config)
         );
     }
     if !args.resume {
@@ -103,13 +112,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let _claim = dir.lock()?;
     let stop = super::stop_flag()?;
-    let learners = scenario.slots(config.agents);
-    let vehicles = if learners < config.agents {
-        format!("{}, of which {learners} learn", counted(config.agents, "vehicle"))
-    } else {
-        counted(config.agents, "agent")
-    };
-    let mixed = scenario.traffic.is_mixed(config.agents);
+    let mut agents = counted(config.agents, "agent");
+    let mut mixed = false;
+    if let Place::Scenario(scenario) = &place {
+        let learners = scenario.slots(config.agents);
+        if learners < config.agents {
+            agents = format!("{}, of which {learners} learn", counted(config.agents, "vehicle"));
+        }
+        mixed = scenario.traffic.is_mixed(config.agents);
+    }
     let mut changes = Vec::new();
     let mut trainer = if args.resume {
         let checkpoint = Checkpoint::load(&dir.last())?;
@@ -122,9 +133,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
         changes = config::changes(&checkpoint.config, &config.to_toml());
-        driving::resume(config.clone(), &scenario, &checkpoint)?
+        driving::train_in(config.clone(), &place, Some(&checkpoint))?
     } else {
-        driving::trainer(config.clone(), &scenario)?
+        driving::train_in(config.clone(), &place, None)?
     };
     if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
         bail!(
@@ -135,9 +146,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let (deployed, all) = trainer.learner().parameters();
     say!(
-        "{} on {} with {vehicles}, seed {}: {} parameters ({} in the deployed policy)",
+        "{} on {} with {agents}, seed {}: {} parameters ({} in the deployed policy)",
         config.algorithm,
-        config.scenario.file.display(),
+        place_of(&config),
         config.seed,
         all,
         deployed
@@ -146,8 +157,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         say!("the run continues with another setting: {change}");
     }
     let hosting = config.hosting();
-    let worlds =
-        if mixed { hosting.alone(config.train.envs) } else { hosting }.describe(config.train.envs);
+    let worlds = match &place {
+        Place::Scenario(_) if mixed => hosting.alone(config.train.envs).describe(config.train.envs),
+        Place::Scenario(_) => hosting.describe(config.train.envs),
+        Place::BuiltIn(_) => format!("{} without SUMO", counted(config.train.envs, "world")),
+    };
     say!("{worlds}");
     if mixed && config.simulation.backend == Choice::Libsumo && config.train.envs > 1 {
         say!(

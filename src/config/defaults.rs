@@ -19,7 +19,11 @@ pub(super) enum Setting<'a> {
     /// In a scenario.
     Scenario(&'a ScenarioFile),
     /// In an environment that has no scenario.
-    Environment(&'a EnvSpec),
+    Environment {
+        /// Name, if it comes along.
+        name: &'a str,
+        spec: &'a EnvSpec,
+    },
 }
 
 impl Setting<'_> {
@@ -27,7 +31,7 @@ impl Setting<'_> {
     pub(super) fn agents(self) -> u32 {
         match self {
             Self::Scenario(file) => file.scenario.agents.default,
-            Self::Environment(spec) => u32::try_from(spec.agents).unwrap_or(u32::MAX),
+            Self::Environment { spec, .. } => u32::try_from(spec.agents).unwrap_or(u32::MAX),
         }
     }
 }
@@ -43,9 +47,9 @@ impl Values {
     ) -> Self {
         let (file, spec) = match setting {
             Setting::Scenario(file) => (Some(file), None),
-            Setting::Environment(spec) => (None, Some(spec)),
+            Setting::Environment { spec, .. } => (None, Some(spec)),
         };
-        let mut values = Self::of(&Config::declared(file, setting.agents()), |key| {
+        let mut values = Self::of(&Config::declared(setting), |key| {
             let own = key.starts_with("scenario.") || key == "agents";
             if own && file.is_some() { Origin::Scenario } else { Origin::Declared }
         });
@@ -60,9 +64,10 @@ impl Values {
                 .follow("agents from route files", |config| config.train.bootstrap_horizon = true);
         }
         if spec.is_some_and(|spec| spec.actions.choices().is_some()) {
-            // Nothing else keeps a policy with discrete actions exploring.
+            // There is no noise to follow, and nothing else keeps the policy exploring.
             values.follow("discrete actions", |config| {
                 config.learner.ppo.entropy_coefficient = ENTROPY_OF_CHOICES;
+                config.learner.ppo.learning_rate_follows_noise = false;
             });
         }
         values.follow("method", |config| config.follow_method(algorithm));

@@ -11,7 +11,7 @@ use super::origin::{Origin, Origins};
 use super::presets::Preset;
 use super::values::{Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
-use crate::env::EnvSpec;
+use crate::env::{BuiltIn, EnvSpec};
 use crate::scenario::{Scenario, ScenarioFile};
 use crate::suggest::nearest;
 
@@ -32,21 +32,60 @@ pub struct Layers {
 pub struct Resolution {
     /// All settings.
     pub config: Config,
-    /// The scenario with the values of the settings.
-    pub scenario: Scenario,
+    /// Where agents act.
+    pub place: Place,
     /// Where the value of each setting comes from.
     pub origins: Origins,
     /// The values that replace others in the scenario's file.
     pub replaced: Vec<Change>,
 }
 
+/// Where agents act.
+#[derive(Debug)]
+pub enum Place {
+    /// On the roads of a scenario, with the values of the settings.
+    Scenario(Box<Scenario>),
+    /// In an environment that comes along.
+    BuiltIn(BuiltIn),
+}
+
+impl Place {
+    /// Returns the name.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Scenario(scenario) => &scenario.name,
+            Self::BuiltIn(built_in) => built_in.name,
+        }
+    }
+
+    /// Returns the scenario; `None` for an environment without one.
+    pub fn scenario(&self) -> Option<&Scenario> {
+        match self {
+            Self::Scenario(scenario) => Some(scenario),
+            Self::BuiltIn(_) => None,
+        }
+    }
+
+    /// Returns a number that another scenario would not have, or the name of an environment.
+    pub fn fingerprint(&self) -> String {
+        match self {
+            Self::Scenario(scenario) => scenario.fingerprint(),
+            Self::BuiltIn(built_in) => built_in.name.to_owned(),
+        }
+    }
+}
+
 impl Config {
     /// Resolves the layers and returns the configuration, and the scenario with the values in it.
     ///
     /// # Errors
-    /// As [`Layers::resolve`].
+    /// As [`Layers::resolve`], and [`Error::NoScenario`] for an environment without one.
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
-        layers.resolve().map(|Resolution { config, scenario, .. }| (config, scenario))
+        let Resolution { config, place, .. } = layers.resolve()?;
+        match place {
+            Place::Scenario(scenario) => Ok((config, *scenario)),
+            Place::BuiltIn(_) => Err(Error::NoScenario),
+        }
     }
 }
 
@@ -58,6 +97,9 @@ impl Layers {
     pub fn resolve(&self) -> Result<Resolution, Error> {
         let document = &self.document;
         let parsed = self.parsed()?;
+        if let Some(built_in) = self.built_in(parsed.get_ref())? {
+            return self.in_environment(parsed.get_ref(), built_in);
+        }
         // The scenario gives its own values and the default number of agents.
         let path = self.look_up(parsed.get_ref(), "scenario.file");
         let path = path.and_then(|path| path.as_str().map(str::to_owned));
@@ -70,7 +112,42 @@ impl Layers {
         let scenario = config.scenario.load(&file, &origins)?;
         scenario.net_for(config.agents)?;
         let replaced = config.scenario.changes(&file);
-        Ok(Resolution { config, scenario, origins, replaced })
+        let place = Place::Scenario(Box::new(scenario));
+        Ok(Resolution { config, place, origins, replaced })
+    }
+
+    /// Returns the environment that the layers name, if they name one.
+    fn built_in(&self, parsed: &DeTable<'_>) -> Result<Option<BuiltIn>, Error> {
+        let given = |key: &str| {
+            let value = self.look_up(parsed, key)?;
+            value.as_str().filter(|word| !word.is_empty()).map(str::to_owned)
+        };
+        let Some(name) = given("environment") else { return Ok(None) };
+        let key = "environment".to_owned();
+        let refused =
+            |message: String| Error::Value { place: "--environment".to_owned(), key, message };
+        let Some(built_in) = BuiltIn::named(&name) else {
+            let names = BuiltIn::NAMES;
+            let similar = nearest(&name, names.into_iter());
+            let similar = similar.map(|s| format!("; did you mean `{s}`?")).unwrap_or_default();
+            let known = names.join(", ");
+            return Err(refused(format!(
+                "there is no environment `{name}` (available: {known}){similar}"
+            )));
+        };
+        match given("scenario.file") {
+            None => Ok(Some(built_in)),
+            Some(file) => Err(refused(format!("`{file}` is a scenario; give one of the two"))),
+        }
+    }
+
+    fn in_environment(&self, parsed: &DeTable<'_>, built_in: BuiltIn) -> Result<Resolution, Error> {
+        let environment = built_in.environment();
+        let (name, spec) = (built_in.name, environment.spec());
+        let (config, origins) = self.settings(parsed, Setting::Environment { name, spec })?;
+        self.check_agents(&config, spec)?;
+        let place = Place::BuiltIn(built_in);
+        Ok(Resolution { config, place, origins, replaced: Vec::new() })
     }
 
     /// Resolves the layers for an environment that has no scenario.
@@ -79,9 +156,16 @@ impl Layers {
     /// [`Error`], with the place of the setting.
     pub fn without_scenario(&self, spec: &EnvSpec) -> Result<Config, Error> {
         let parsed = self.parsed()?;
-        let (config, _) = self.settings(parsed.get_ref(), Setting::Environment(spec))?;
+        let setting = Setting::Environment { name: "", spec };
+        let (config, _) = self.settings(parsed.get_ref(), setting)?;
+        self.check_agents(&config, spec)?;
+        Ok(config)
+    }
+
+    /// Checks that the number of agents is that of an environment without scenario.
+    fn check_agents(&self, config: &Config, spec: &EnvSpec) -> Result<(), Error> {
         if config.agents as usize == spec.agents {
-            return Ok(config);
+            return Ok(());
         }
         let message = format!("the environment has {} agents", spec.agents);
         let (place, key) = (self.document.name.clone(), "agents".to_owned());

@@ -226,7 +226,7 @@ fn a_setting_is_a_path_into_the_scenario() {
     let whole = of(&short, &[]).unwrap();
     assert_eq!(whole.replaced, []);
     let changed = of(&long, &["scenario.observation.neighbours=2"]).unwrap();
-    let (was, is) = (&whole.scenario, &changed.scenario);
+    let (was, is) = (whole.place.scenario().unwrap(), changed.place.scenario().unwrap());
     assert_eq!(is.observation.neighbours, 2);
     assert_eq!((is.reward.share_range, was.reward.share_range), (30.0, f64::INFINITY));
     let reverses = |s: &Scenario| s.control.steering.unwrap().reverse;
@@ -234,7 +234,7 @@ fn a_setting_is_a_path_into_the_scenario() {
     assert_eq!(changed.replaced.len(), 4, "{:?}", changed.replaced);
     // A number without a limit is infinite, as if the attribute were missing.
     let again = of(&long, &["scenario.reward.shareRange=inf"]).unwrap();
-    assert_eq!(again.scenario.reward.share_range, f64::INFINITY);
+    assert_eq!(again.place.scenario().unwrap().reward.share_range, f64::INFINITY);
     // An optional element whose absence means its defaults can be overridden too.
     let mixed = resolve("", &["scenario.traffic.penetration=0.5"]).unwrap();
     assert_eq!(number(&mixed, "traffic", "penetration"), 0.5);
@@ -284,7 +284,7 @@ fn stored_settings_hold_the_task_when_the_file_changes() {
     assert_ne!(changed, text);
     std::fs::write(&path, &changed).unwrap();
     let later = layers(stored.clone(), &[]).resolve().unwrap();
-    assert_eq!((&later.scenario, &later.config), (&first.scenario, &first.config));
+    assert_eq!((later.place.scenario(), &later.config), (first.place.scenario(), &first.config));
     let replaced: Vec<String> = later.replaced.iter().map(ToString::to_string).collect();
     assert_eq!(
         replaced,
@@ -297,15 +297,18 @@ fn stored_settings_hold_the_task_when_the_file_changes() {
     let run = folder.path().join("runs/a");
     std::fs::create_dir_all(&run).unwrap();
     let own = run.join("scenario.xml");
-    std::fs::write(&own, first.scenario.to_xml_in(&run).unwrap()).unwrap();
+    std::fs::write(&own, first.place.scenario().unwrap().to_xml_in(&run).unwrap()).unwrap();
     let loaded = Scenario::load(&own).unwrap();
     let canonical = |net: &crate::scenario::Net| net.file.canonicalize().unwrap();
     assert_eq!(
         loaded.nets.iter().map(canonical).collect::<Vec<_>>(),
-        first.scenario.nets.iter().map(canonical).collect::<Vec<_>>()
+        first.place.scenario().unwrap().nets.iter().map(canonical).collect::<Vec<_>>()
     );
-    let nets = first.scenario.nets.clone();
-    assert_eq!(Scenario { nets, path: first.scenario.path.clone(), ..loaded }, first.scenario);
+    let nets = first.place.scenario().unwrap().nets.clone();
+    assert_eq!(
+        Scenario { nets, path: first.place.scenario().unwrap().path.clone(), ..loaded },
+        *first.place.scenario().unwrap()
+    );
 }
 
 #[test]

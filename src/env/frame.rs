@@ -67,7 +67,9 @@ impl Frame {
             &mut self.terminated,
             &mut self.truncated,
         ];
-        arrays.into_iter().for_each(|array| array.fill(0.0));
+        for array in arrays {
+            array.fill(0.0);
+        }
         self.available.fill(1.0);
     }
 

@@ -285,10 +285,10 @@ impl MultiAgentEnv for TrafficJunction {
 
     fn step(&mut self, actions: &[f32], frame: &mut Frame) {
         self.step += 1;
-        for i in 0..self.cars.len() {
+        for (i, action) in actions.iter().enumerate() {
             let Some(mut car) = self.cars[i] else { continue };
             car.age += 1;
-            car.stayed = actions[i] > 0.5;
+            car.stayed = *action > 0.5;
             car.at += usize::from(!car.stayed);
             let leaves = car.at >= self.routes[car.entry][car.route].len();
             self.cars[i] = (!leaves).then_some(car);
@@ -393,9 +393,9 @@ mod tests {
             frame.begin(false);
             frame.reward.fill(0.0);
             world.step(&actions, &mut frame);
-            for i in 0..before.len() {
+            for (i, acted) in before.iter().enumerate() {
                 let ended = frame.terminated[i] + frame.truncated[i] > 0.0;
-                assert!(before[i] == 0.0 || frame.active[i] > 0.0 || ended);
+                assert!(*acted == 0.0 || frame.active[i] > 0.0 || ended);
                 assert!(!(frame.terminated[i] > 0.0 && frame.start[i] > 0.0), "one at a time");
             }
             sum += frame.reward.iter().sum::<f32>();

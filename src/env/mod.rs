@@ -9,6 +9,7 @@
 //!   in snapshots; a [`VecEnv`] is many worlds in lock-step on the simulators that host them.
 //! - `expert`: drivers without training ([`Pursuit`]).
 
+mod built_in;
 mod driving;
 mod environment;
 mod episode;
@@ -22,6 +23,7 @@ mod picture;
 mod record;
 mod spec;
 
+pub use built_in::BuiltIn;
 pub use driving::{
     AgentView, Audit, BackgroundMetrics, Conflict, Driver, DrivingRecord, Failures, FlowMetrics,
     MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Refused, Resets, RouteGeometry,

@@ -62,7 +62,7 @@ impl EvaluationResult {
 pub struct KmPerCrash {
     /// Distance that agents drove \[km\].
     pub km: f64,
-    /// Number of crashes of agents ([`crate::env::EpisodeRecord::crashes`]).
+    /// Number of crashes of agents ([`crate::env::DrivingRecord::crashes`]).
     pub crashes: u64,
     /// Kilometres per crash with the exact interval of a Poisson count; only a lower bound without
     /// a crash.

@@ -9,7 +9,7 @@ use toml::{Table, Value};
 use super::{
     Cell, Contrast, Error, Evaluate, Reference, base, combinations, holds, label, value_of,
 };
-use crate::config::{Config, Document, Layers, flatten, full_name, no_matter_of_evaluation};
+use crate::config::{Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation};
 use crate::metrics::{self, Shown};
 
 /// A sweep file as it is written, merged with its base.
@@ -206,13 +206,11 @@ impl File {
         let document = Document::of_table("its settings".to_owned(), &settings);
         let layers = Layers { document, ..Layers::default() };
         let resolve = |layers: &Layers| {
-            Config::resolve(layers).map_err(|source| Error::Cell { place: place.clone(), source })
+            layers.resolve().map_err(|source| Error::Cell { place: place.clone(), source })
         };
-        let (config, scenario) = resolve(&layers)?;
-        let fingerprint = fingerprints
-            .entry(config.scenario.file.clone())
-            .or_insert_with(|| scenario.fingerprint())
-            .clone();
+        let Resolution { config, place: task, .. } = resolve(&layers)?;
+        let known = config.scenario.file.join(&config.environment);
+        let fingerprint = fingerprints.entry(known).or_insert_with(|| task.fingerprint()).clone();
         if let Some(why) = config.cannot_be_trained() {
             return Err(wrong(file, format!("cell {id}: {why}")));
         }
@@ -222,7 +220,7 @@ impl File {
             for combination in evaluate.combinations() {
                 let sets = evaluate.sets(&combination);
                 let useless = sets.iter().find_map(|set| no_matter_of_evaluation(set));
-                let (asked, _) = resolve(&Layers { sets, ..layers.clone() })?;
+                let asked = resolve(&Layers { sets, ..layers.clone() })?.config;
                 if let Some(why) = useless.or_else(|| cell.config.cannot_serve(&asked)) {
                     return Err(wrong(
                         file,

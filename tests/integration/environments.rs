@@ -84,14 +84,14 @@ impl MultiAgentEnv for Line {
 
     fn step(&mut self, actions: &[f32], frame: &mut Frame) {
         self.step += 1;
-        for i in 0..AGENTS {
+        for (i, action) in actions.iter().enumerate() {
             if frame.active[i] == 0.0 {
                 continue;
             }
-            assert!(actions[i].abs() <= 1.0, "actions are within their bounds");
+            assert!(action.abs() <= 1.0, "actions are within their bounds");
             let [place, goal] = &mut self.agents[i];
             let before = (*goal - *place).abs();
-            *place += 0.1 * actions[i];
+            *place += 0.1 * action;
             let after = (*goal - *place).abs();
             frame.reward[i] = before - after;
             if after < 0.1 {
@@ -269,9 +269,8 @@ fn frames_tell_who_comes_and_who_ends() {
     let environment = line(Mistake::None);
     let mut world = environment.start(&stream).expect("a world");
     let (mut begun, mut ended) = ([0; AGENTS], [0; AGENTS]);
-    for i in 0..AGENTS {
-        begun[i] += u32::from(world.view(0).frame.start[i] > 0.0);
-    }
+    let starts = &world.view(0).frame.start;
+    begun.iter_mut().zip(starts).for_each(|(begun, start)| *begun += u32::from(*start > 0.0));
     assert_eq!(begun, [1, 1, 1], "an episode begins in all slots");
     while world.take_finished().is_empty() {
         let frame = world.view(0).frame;
@@ -415,7 +414,8 @@ fn methods_learn_discrete_actions() {
         let sets = sets.map(str::to_owned).to_vec();
         let layers = Layers { flags, sets, ..Layers::default() };
         let config = layers.without_scenario(&Row::new().spec).expect("settings");
-        assert_eq!(config.learner.ppo.entropy_coefficient, 0.01);
+        let ppo = &config.learner.ppo;
+        assert!(ppo.entropy_coefficient == 0.01 && !ppo.learning_rate_follows_noise, "{ppo:?}");
         let mut trainer = Trainer::new(config, environment()).expect("a trainer");
         for _ in 0..40 {
             trainer.iterate().expect("an iteration");

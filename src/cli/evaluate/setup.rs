@@ -6,26 +6,25 @@ use std::sync::Arc;
 use anyhow::bail;
 use iwol_sumo::algo::{self, Algorithm, Channel};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Resolution};
-use iwol_sumo::env::Task;
+use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Place, Resolution};
+use iwol_sumo::env::{EnvSpec, Task};
 use iwol_sumo::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
 use iwol_sumo::provenance::Training;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::Hosting;
 use iwol_sumo::train::RunDir;
 use toml::Value;
 
 use super::Args;
+use super::arena::Arena;
 
 /// The task of an evaluation, and the trained policy if there is one.
 pub(super) struct Setup {
-    pub(super) task: Arc<Task>,
+    pub(super) arena: Arena,
     /// Name of the scenario.
     pub(super) scenario: String,
     /// Number of vehicles at spawn places.
     pub(super) agents: u32,
-    pub(super) hosting: Hosting,
     /// File name of the trained policy's checkpoint.
     pub(super) checkpoint: Option<String>,
     /// Provenance of the trained policy.
@@ -52,29 +51,39 @@ impl Setup {
         if let Some(agents) = args.agents {
             layers.flags.push(("agents", Value::Integer(agents.into())));
         }
+        if let Some(name) = &args.environment {
+            layers.flags.push(("environment", Value::String(name.clone())));
+        }
         layers.flags.push(("device", Value::String(args.device.clone())));
         if let Some(backend) = &args.backend {
             layers.flags.push(("simulation.backend", Value::String(backend.clone())));
         }
-        let Resolution { config, scenario, origins, mut replaced } = layers.resolve()?;
+        let Resolution { config, place, origins, mut replaced } = layers.resolve()?;
         // What the user asked for needs no mention.
         replaced.retain(|change| match origins.get(&change.key) {
             Some(Origin::Given(place)) => !place.starts_with("--"),
             _ => true,
         });
         if let Some(run) = args.run.as_deref().and_then(RunDir::of) {
-            tell_changes(args, &run, &scenario, &replaced);
+            if let Place::Scenario(scenario) = &place {
+                tell_changes(args, &run, scenario, &replaced);
+            }
         }
-        let task = Arc::new(Task::new(&scenario, config.agents)?);
+        let arena = match &place {
+            Place::Scenario(scenario) => Arena::Roads {
+                task: Arc::new(Task::new(scenario, config.agents)?),
+                hosting: config.hosting(),
+            },
+            Place::BuiltIn(built_in) => Arena::Other(built_in.environment()),
+        };
         let learned = match &checkpoint {
-            Some(checkpoint) => Some((build(checkpoint, &config, &task)?, config.channel)),
+            Some(checkpoint) => Some((build(checkpoint, &config, arena.spec())?, config.channel)),
             None => None,
         };
         Ok(Self {
-            task,
-            scenario: scenario.name,
+            arena,
+            scenario: place.name().to_owned(),
             agents: config.agents,
-            hosting: config.hosting(),
             checkpoint: args
                 .run
                 .as_deref()
@@ -96,7 +105,7 @@ impl Setup {
 
     /// Returns the policy of an ONNX file.
     pub(super) fn model(&self, file: &Path) -> anyhow::Result<Box<dyn Controller>> {
-        Ok(Box::new(OnnxPolicy::load(file, &self.task.spec)?))
+        Ok(Box::new(OnnxPolicy::load(file, self.arena.spec())?))
     }
 }
 
@@ -119,15 +128,15 @@ fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Chan
     }
 }
 
-/// Builds the networks of a checkpoint for a task, with the checkpoint's weights.
+/// Builds the networks of a checkpoint for an environment, with the checkpoint's weights.
 fn build(
     checkpoint: &Checkpoint,
     config: &Config,
-    task: &Task,
+    spec: &EnvSpec,
 ) -> anyhow::Result<Box<dyn Algorithm>> {
     let device = config.device.find()?;
     let mut learner =
-        algo::build(&checkpoint.algorithm, &task.spec, &config.learner, Seed::new(0), device)?;
+        algo::build(&checkpoint.algorithm, spec, &config.learner, Seed::new(0), device)?;
     learner.load_weights(&checkpoint.learner).map_err(|unfit| match unfit {
         algo::Error::State(_) => anyhow::Error::new(unfit).context(
             "the checkpoint does not fit the observations and networks that the scenario and the settings define",

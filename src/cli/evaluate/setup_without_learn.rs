@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use anyhow::{Context as _, bail};
-use iwol_sumo::env::Task;
+use iwol_sumo::env::{BuiltIn, Task};
 use iwol_sumo::evaluate::Controller;
 use iwol_sumo::provenance::Training;
 use iwol_sumo::scenario::Scenario;
@@ -14,15 +14,15 @@ use serde::de::IntoDeserializer as _;
 use serde::de::value::Error;
 
 use super::Args;
+use super::arena::Arena;
 
 /// The task of an evaluation.
 pub(super) struct Setup {
-    pub(super) task: Arc<Task>,
+    pub(super) arena: Arena,
     /// Name of the scenario.
     pub(super) scenario: String,
     /// Number of vehicles at spawn places.
     pub(super) agents: u32,
-    pub(super) hosting: Hosting,
     /// File name of the trained policy's checkpoint: none.
     pub(super) checkpoint: Option<String>,
     /// Provenance of the trained policy: none.
@@ -40,6 +40,9 @@ impl Setup {
         if args.device != "cpu" {
             bail!(crate::cli::absent::needs_learn("`--device`"));
         }
+        if let Some(name) = &args.environment {
+            return Self::without_scenario(args, name);
+        }
         if args.agents == Some(0) {
             bail!("--agents 0: allowed: at least 1");
         }
@@ -52,13 +55,25 @@ impl Setup {
             .map_err(|error: Error| anyhow::anyhow!("--backend: {error}"))?;
         hosting.backend = choice.backend();
         Ok(Self {
-            task: Arc::new(Task::new(&scenario, agents)?),
+            arena: Arena::Roads { task: Arc::new(Task::new(&scenario, agents)?), hosting },
             scenario: scenario.name,
             agents,
-            hosting,
             checkpoint: None,
             training: None,
         })
+    }
+
+    fn without_scenario(args: &Args, name: &str) -> anyhow::Result<Self> {
+        let Some(built_in) = BuiltIn::named(name) else {
+            bail!("there is no environment `{name}` (available: {})", BuiltIn::NAMES.join(", "));
+        };
+        let arena = Arena::Other(built_in.environment());
+        let agents = u32::try_from(arena.spec().agents)?;
+        if args.agents.is_some_and(|asked| asked != agents) {
+            bail!("--agents: the environment has {agents} agents");
+        }
+        let scenario = built_in.name.to_owned();
+        Ok(Self { arena, scenario, agents, checkpoint: None, training: None })
     }
 
     /// Returns the trained policy and its name: none.

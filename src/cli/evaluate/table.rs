@@ -1,5 +1,6 @@
 //! The table of `iwol evaluate`.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use iwol_sumo::evaluate::DETERMINED;
@@ -45,16 +46,21 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
                 .any(|estimate| metric.better != Better::Neither || estimate.mean > 0.0)
         })
         .collect();
-    let mut columns: Vec<Vec<String>> = vec![
-        std::iter::once(String::new()).chain(lines.iter().map(|metric| metric.heading())).collect(),
-    ];
+    let own: BTreeSet<&String> = rows.iter().flat_map(|row| row.metrics.own.keys()).collect();
+    let headings = lines.iter().map(|metric| metric.heading()).chain(own.iter().copied().cloned());
+    let mut columns: Vec<Vec<String>> =
+        vec![std::iter::once(String::new()).chain(headings).collect()];
     for row in rows {
         let cells = lines.iter().map(|metric| {
             let digits = metric.scale.digits;
             let estimate = metric.estimate(&row.metrics);
             estimate.map_or_else(|| "–".to_owned(), |estimate| format!("{estimate:.digits$}"))
         });
-        columns.push(std::iter::once(row.policy.clone()).chain(cells).collect());
+        let more = own.iter().map(|name| {
+            let estimate = row.metrics.own.get(*name);
+            estimate.map_or_else(|| "–".to_owned(), |estimate| format!("{estimate:.2}"))
+        });
+        columns.push(std::iter::once(row.policy.clone()).chain(cells).chain(more).collect());
     }
     let width =
         |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
@@ -76,7 +82,7 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
             first.seed
         );
     }
-    for line in 0..=lines.len() {
+    for line in 0..=lines.len() + own.len() {
         for (i, column) in columns.iter().enumerate() {
             let (cell, width) = (&column[line], width(column));
             let _ = if i == 0 {
