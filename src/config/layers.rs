@@ -128,7 +128,7 @@ impl Layers {
             |message: String| Error::Value { place: "--environment".to_owned(), key, message };
         let Some(built_in) = BuiltIn::named(&name) else {
             let names = BuiltIn::NAMES;
-            let similar = nearest(&name, names.into_iter());
+            let similar = nearest(&name, names);
             let similar = similar.map(|s| format!("; did you mean `{s}`?")).unwrap_or_default();
             let known = names.join(", ");
             return Err(refused(format!(

@@ -17,7 +17,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::train::{RunDir, Trainer};
 use toml::Value;
 
-use crate::support::folder;
+use crate::support::{folder, iwol};
 
 const AGENTS: usize = 3;
 
@@ -423,5 +423,74 @@ fn methods_learn_discrete_actions() {
         let found = trainer.validate(&AtomicBool::new(false)).expect("it runs").metrics();
         let success = found.expect("episodes").success;
         assert!(success.mean > 0.97, "{name}: {success:?}");
+    }
+}
+
+/// Environments that come along are trained, evaluated, resumed, recorded and swept by name.
+#[test]
+fn environments_that_come_along_are_used_by_name() {
+    let folder = folder();
+    let run = folder.path().join("run");
+    let name = |path: &Path| path.to_str().expect("text").to_owned();
+    let play = |arguments: &[&str]| {
+        let output = iwol(arguments).current_dir(folder.path()).output().expect("it runs");
+        let text =
+            [output.stdout, output.stderr].map(|text| String::from_utf8(text).expect("text"));
+        (output.status.success(), text.concat())
+    };
+    let train = ["train", "--environment", "traffic_junction_easy", "--algorithm", "magic"];
+    let small = ["--set", "train.envs=2", "--set", "train.rollout_steps=20", "--out", &name(&run)];
+    let few = ["--set", "train.validation_episodes=2", "--steps", "80"];
+    let (fine, text) = play(&[&train[..], &small, &few].concat());
+    assert!(fine && text.contains("magic on traffic_junction_easy with 5 agents"), "{text}");
+    assert!(text.contains("2 worlds without SUMO"), "{text}");
+    let (fine, text) = play(&["train", "--resume", "--out", &name(&run), "--steps", "160"]);
+    assert!(fine && text.contains("finished after 160 steps"), "{text}");
+    let record = folder.path().join("episode.json");
+    let (fine, text) = play(&[
+        "evaluate",
+        &name(&run),
+        "--episodes",
+        "3",
+        "--policy",
+        "uniform",
+        "--set",
+        "channel.bits=2",
+        "--record",
+        &name(&record),
+    ]);
+    assert!(fine && text.contains("collisions") && text.contains("cars"), "{text}");
+    assert!(!text.contains("safety"), "there are no vehicles of SUMO: {text}");
+    let (fine, text) = play(&["replay", &name(&record), "--out", "episode.html"]);
+    assert!(fine, "{text}");
+
+    let sweep = folder.path().join("tiny.toml");
+    let file = "title = \"Tiny\"\n[settings]\nenvironment = \"traffic_junction_easy\"\nsteps = 80\n\
+                train = { envs = 2, rollout_steps = 20, validation_episodes = 2 }\n\
+                [grid]\nalgorithm = [\"mappo\"]\nseed = [0]\n[[evaluate]]\nepisodes = 2\n";
+    std::fs::write(&sweep, file).expect("written");
+    let (fine, text) = play(&["sweep", &name(&sweep)]);
+    assert!(fine, "{text}");
+    let (fine, text) = play(&["report", &name(&sweep)]);
+    assert!(fine, "{text}");
+
+    for (arguments, why) in [
+        (vec!["train", "--environment", "trafic_junction"], "did you mean `traffic_junction`?"),
+        (vec!["train", "--environment", "traffic_junction", "--agents", "4"], "has 10 agents"),
+        (
+            vec!["train", "--environment", "traffic_junction", "--algorithm", "maddpg"],
+            "is for continuous actions only",
+        ),
+        (
+            vec!["evaluate", "--environment", "traffic_junction", "--policy", "sumo"],
+            "choose gaussian or uniform",
+        ),
+        (
+            vec!["train", "--environment", "traffic_junction", "--set", "scenario=a.xml"],
+            "`a.xml` is a scenario; give one of the two",
+        ),
+    ] {
+        let (fine, text) = play(&arguments);
+        assert!(!fine && text.contains(why), "{arguments:?}: {text}");
     }
 }
