@@ -27,7 +27,7 @@ mod values;
 pub use document::Document;
 pub use error::Error;
 pub use flat::{Change, flatten, full_name, plain};
-pub use layers::{Layers, Place, Resolution};
+pub use layers::{Layers, Resolution, TaskSource};
 pub use origin::{Origin, Origins};
 pub use presets::{PRESETS, Preset};
 pub(crate) use scenario::flat_changes;
@@ -79,7 +79,7 @@ pub struct Config {
     /// agents (CommFormer: of as many). Empty: training starts from new weights.
     #[schemars(extend("default" = ""))]
     pub init_from: PathBuf,
-    /// Name of an environment that comes along and needs no SUMO, instead of a scenario.
+    /// Name of a built-in environment, which needs no SUMO, instead of a scenario.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     #[schemars(extend("enum" = BuiltIn::NAMES, "default" = ""))]
     pub environment: String,

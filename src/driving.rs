@@ -92,7 +92,7 @@ mod trainer {
     use std::sync::Arc;
 
     use crate::checkpoint::Checkpoint;
-    use crate::config::{Config, Place};
+    use crate::config::{Config, TaskSource};
     use crate::env::{Environment, Task, Traffic};
     use crate::scenario::Scenario;
     use crate::train::{Error, Trainer};
@@ -119,19 +119,19 @@ mod trainer {
         Trainer::resume(config, Box::new(traffic), checkpoint)
     }
 
-    /// Starts a run, or continues it from a checkpoint, on a scenario or in an environment that comes
-    /// along.
+    /// Starts a run, or continues it from a checkpoint, on a scenario or in a built-in
+    /// environment.
     ///
     /// # Errors
     /// As [`trainer`] and [`resume`].
     pub fn train_in(
         config: Config,
-        place: &Place,
+        place: &TaskSource,
         checkpoint: Option<&Checkpoint>,
     ) -> Result<Trainer, Error> {
         let environment: Box<dyn Environment> = match place {
-            Place::Scenario(scenario) => Box::new(traffic(&config, scenario)?),
-            Place::BuiltIn(built_in) => built_in.environment(),
+            TaskSource::Scenario(scenario) => Box::new(traffic(&config, scenario)?),
+            TaskSource::BuiltIn(built_in) => built_in.environment(),
         };
         match checkpoint {
             None => Trainer::new(config, environment),

@@ -11,7 +11,7 @@ mod result;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::env::{Audit, BackgroundMetrics, DrivingRecord, EpisodeRecord, Failures, FlowMetrics};
 use crate::stats::Estimate;
@@ -29,7 +29,7 @@ pub const WINDOW: usize = 1000;
 /// Number of metrics of vehicles that say how their trips ended. They come first.
 const OUTCOMES: usize = 5;
 
-/// Share of agents that arrived: the metric by which policies are compared.
+/// Share of agents that reached their goal: the metric by which policies are compared.
 pub const SUCCESS: &Metric = &Metrics::REGISTERED[0];
 
 /// Returns all metrics, in the order of tables.
@@ -101,7 +101,7 @@ metrics! {
     Metrics, of: Episodes<'_>, ids: "", part: |metrics| Some(metrics),
     metrics: {
         success: Estimate = |e| e.rate(|r| r.success),
-            "success", "agents that arrive (%)", PERCENT, Higher, Everywhere,
+            "success", "success (%)", PERCENT, Higher, Everywhere,
             "Share of agents that reached their goal; of vehicles, of those that arrived.";
         reward: Estimate = |e| e.mean(|r| r.reward),
             "reward", "reward per agent and episode", NUMBER, Higher, InEvaluations,
@@ -115,13 +115,13 @@ metrics! {
             "episode length", "steps", COUNT, Neither, InEvaluations,
             "Length of an episode in steps.";
         message_bits: Option<Estimate> = |e| Estimate::t(e.message_bits),
-            "bits sent", "bits per decision and vehicle", COUNT, Neither, InTables,
-            "Bits that a vehicle sends per decision, for methods with messages: the width of a message \
+            "bits sent", "bits per decision and agent", COUNT, Neither, InTables,
+            "Bits that an agent sends per decision, for methods with messages: the width of a message \
              times `channel.bits`, and 32 for its scale where it is rounded; nothing while nobody is in range.";
     }
     more: {
         /// Metrics of vehicles; `None` in environments without them.
-        #[serde(flatten, skip_serializing_if = "Option::is_none")]
+        #[serde(flatten, skip_serializing_if = "Option::is_none", deserialize_with = "of_vehicles")]
         pub driving: Option<DrivingMetrics>,
         /// Metrics that the environment defines by itself, by name.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
@@ -133,7 +133,7 @@ metrics! {
 
 metrics! {
     /// Metrics of vehicles; see [`DrivingRecord`] for the definitions.
-    DrivingMetrics, of: Drives<'_>, ids: "", part: |metrics| metrics.driving.as_ref(),
+    DrivingMetrics, of: DrivingRecords<'_>, ids: "", part: |metrics| metrics.driving.as_ref(),
     metrics: {
         safety: Estimate = |d| d.rate(|r| r.safety),
             "safety", "agents that do not crash (%)", PERCENT, Higher, Everywhere,
@@ -283,9 +283,9 @@ metrics! {
 }
 
 /// The vehicles' part of the episodes of an evaluation.
-struct Drives<'a>(Vec<&'a DrivingRecord>);
+struct DrivingRecords<'a>(Vec<&'a DrivingRecord>);
 
-impl Drives<'_> {
+impl DrivingRecords<'_> {
     fn rate(&self, of: fn(&DrivingRecord) -> f64) -> Estimate {
         Estimate::rate(&self.column(of)).unwrap_or_default()
     }
@@ -380,6 +380,18 @@ impl Metrics {
     }
 }
 
+/// Reads the metrics of vehicles; `None` where there are none.
+fn of_vehicles<'de, D: Deserializer<'de>>(data: D) -> Result<Option<DrivingMetrics>, D::Error> {
+    let metrics = DrivingMetrics::deserialize(data)?;
+    let part = metrics.flow.is_some() || metrics.others.is_some();
+    let known = part
+        || DrivingMetrics::REGISTERED.iter().any(|metric| {
+            let all = Metrics { driving: Some(metrics.clone()), ..Metrics::default() };
+            metric.unscaled(&all).is_some()
+        });
+    Ok(known.then_some(metrics))
+}
+
 impl DrivingMetrics {
     fn of(drives: Vec<&DrivingRecord>) -> Self {
         let flows: Vec<FlowMetrics> = drives.iter().filter_map(|r| r.flow).collect();
@@ -389,7 +401,7 @@ impl DrivingMetrics {
             failures: drives.iter().fold(Failures::default(), |sum, r| sum.plus(&r.failures)),
             flow: (!flows.is_empty()).then(|| FlowSummary::measure(&flows)),
             others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
-            ..Self::measure(&Drives(drives))
+            ..Self::measure(&DrivingRecords(drives))
         }
     }
 }

@@ -181,8 +181,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let title = Title { environment: &setup.scenario, policy: &driver, seed: args.seed };
             let recording = recorder.finish(&arena.backdrop()?, &title, record);
-            recorded =
-                Some((recording.context("the recorded episode did not reach its end")?, path));
+            recorded = Some((
+                recording.context(
+                    "the recorded episode did not reach its end, or the environment draws nothing",
+                )?,
+                path,
+            ));
         }
         let metrics = evaluation.metrics().context("no episode finished")?;
         rows.push(EvaluationResult {

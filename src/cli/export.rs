@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, bail};
 use iwol_sumo::algo::onnx;
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{Document, Layers, Place};
+use iwol_sumo::config::{Document, Layers, TaskSource};
 use iwol_sumo::env::{Feature, Features, Task};
 use iwol_sumo::onnx::Graph;
 use iwol_sumo::provenance::Program;
@@ -97,7 +97,7 @@ impl Exported {
         let document = Document::of_run(source, checkpoint.config.clone());
         let resolved = Layers { document, ..Layers::default() }.resolve()?;
         let (config, place) = (resolved.config, resolved.place);
-        let Place::Scenario(scenario) = place else {
+        let TaskSource::Scenario(scenario) = place else {
             bail!("policies of environments without SUMO cannot be written as ONNX or for PyTorch");
         };
         let task = Task::new(&scenario, config.agents)?;

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document, Place, Resolution};
+use iwol_sumo::config::{self, Config, Document, Resolution, TaskSource};
 use iwol_sumo::driving;
 use iwol_sumo::sumo::Choice;
 use iwol_sumo::train::{Report, RunDir, TrainingEnd, human_duration};
@@ -99,7 +99,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         bail!("--resume continues with the weights of the run; omit --init-from");
     }
     let fingerprint = place.fingerprint();
-    if args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint) {
+    let is_other = args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint);
+    if is_other && place.scenario().is_none() {
+        bail!("`{}` was started in another environment than {fingerprint}", dir.path().display());
+    }
+    if is_other {
         bail!(
             "`{}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
              the original scenario, or start a new run from this run's policy with --init-from",
@@ -114,7 +118,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let stop = super::stop_flag()?;
     let mut agents = counted(config.agents, "agent");
     let mut mixed = false;
-    if let Place::Scenario(scenario) = &place {
+    if let TaskSource::Scenario(scenario) = &place {
         let learners = scenario.slots(config.agents);
         if learners < config.agents {
             agents = format!("{}, of which {learners} learn", counted(config.agents, "vehicle"));
@@ -158,9 +162,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let hosting = config.hosting();
     let worlds = match &place {
-        Place::Scenario(_) if mixed => hosting.alone(config.train.envs).describe(config.train.envs),
-        Place::Scenario(_) => hosting.describe(config.train.envs),
-        Place::BuiltIn(_) => format!("{} without SUMO", counted(config.train.envs, "world")),
+        TaskSource::Scenario(_) if mixed => {
+            hosting.alone(config.train.envs).describe(config.train.envs)
+        }
+        TaskSource::Scenario(_) => hosting.describe(config.train.envs),
+        TaskSource::BuiltIn(_) => format!("{} without SUMO", counted(config.train.envs, "world")),
     };
     say!("{worlds}");
     if mixed && config.simulation.backend == Choice::Libsumo && config.train.envs > 1 {

@@ -46,9 +46,15 @@ pub enum Error {
     },
     /// No source names a scenario.
     #[error(
-        "no scenario given; name one with --scenario, e.g. --scenario scenarios/intersection.xml"
+        "no scenario given; name one with --scenario, or a built-in environment with --environment, e.g. --scenario scenarios/intersection.xml"
     )]
     NoScenario,
+    /// The settings are those of an environment without a scenario.
+    #[error("{name} is an environment without a scenario, which this command needs")]
+    WithoutScenario {
+        /// Name of the environment.
+        name: &'static str,
+    },
     /// The scenario is not valid together with settings that override parts of it.
     #[error("{source} (with {places})")]
     Overridden {

@@ -33,7 +33,7 @@ pub struct Resolution {
     /// All settings.
     pub config: Config,
     /// Where agents act.
-    pub place: Place,
+    pub place: TaskSource,
     /// Where the value of each setting comes from.
     pub origins: Origins,
     /// The values that replace others in the scenario's file.
@@ -42,14 +42,14 @@ pub struct Resolution {
 
 /// Where agents act.
 #[derive(Debug)]
-pub enum Place {
+pub enum TaskSource {
     /// On the roads of a scenario, with the values of the settings.
     Scenario(Box<Scenario>),
-    /// In an environment that comes along.
+    /// In a built-in environment.
     BuiltIn(BuiltIn),
 }
 
-impl Place {
+impl TaskSource {
     /// Returns the name.
     pub fn name(&self) -> &str {
         match self {
@@ -83,8 +83,8 @@ impl Config {
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
         let Resolution { config, place, .. } = layers.resolve()?;
         match place {
-            Place::Scenario(scenario) => Ok((config, *scenario)),
-            Place::BuiltIn(_) => Err(Error::NoScenario),
+            TaskSource::Scenario(scenario) => Ok((config, *scenario)),
+            TaskSource::BuiltIn(built_in) => Err(Error::WithoutScenario { name: built_in.name }),
         }
     }
 }
@@ -112,7 +112,7 @@ impl Layers {
         let scenario = config.scenario.load(&file, &origins)?;
         scenario.net_for(config.agents)?;
         let replaced = config.scenario.changes(&file);
-        let place = Place::Scenario(Box::new(scenario));
+        let place = TaskSource::Scenario(Box::new(scenario));
         Ok(Resolution { config, place, origins, replaced })
     }
 
@@ -124,8 +124,8 @@ impl Layers {
         };
         let Some(name) = given("environment") else { return Ok(None) };
         let key = "environment".to_owned();
-        let refused =
-            |message: String| Error::Value { place: "--environment".to_owned(), key, message };
+        let place = self.place_of("environment");
+        let refused = |message: String| Error::Value { place, key, message };
         let Some(built_in) = BuiltIn::named(&name) else {
             let names = BuiltIn::NAMES;
             let similar = nearest(&name, names);
@@ -137,7 +137,10 @@ impl Layers {
         };
         match given("scenario.file") {
             None => Ok(Some(built_in)),
-            Some(file) => Err(refused(format!("`{file}` is a scenario; give one of the two"))),
+            Some(file) => Err(refused(format!(
+                "`{file}` is a scenario ({}); a run is in a scenario or in a built-in environment",
+                self.place_of("scenario.file")
+            ))),
         }
     }
 
@@ -146,7 +149,7 @@ impl Layers {
         let (name, spec) = (built_in.name, environment.spec());
         let (config, origins) = self.settings(parsed, Setting::Environment { name, spec })?;
         self.check_agents(&config, spec)?;
-        let place = Place::BuiltIn(built_in);
+        let place = TaskSource::BuiltIn(built_in);
         Ok(Resolution { config, place, origins, replaced: Vec::new() })
     }
 
@@ -162,14 +165,36 @@ impl Layers {
         Ok(config)
     }
 
-    /// Checks that the number of agents is that of an environment without scenario.
+    /// Checks that the number of agents is that of an environment without scenario, which is the same
+    /// in all episodes.
     fn check_agents(&self, config: &Config, spec: &EnvSpec) -> Result<(), Error> {
+        if config.train.fewest_agents > 0 {
+            let message = "allowed in scenarios only".to_owned();
+            let (place, key) =
+                (self.place_of("train.fewest_agents"), "train.fewest_agents".to_owned());
+            return Err(Error::Value { place, key, message });
+        }
         if config.agents as usize == spec.agents {
             return Ok(());
         }
         let message = format!("the environment has {} agents", spec.agents);
-        let (place, key) = (self.document.name.clone(), "agents".to_owned());
+        let (place, key) = (self.place_of("agents"), "agents".to_owned());
         Err(Error::Value { place, key, message })
+    }
+
+    /// Returns where the layers give a setting, by its full name.
+    fn place_of(&self, key: &str) -> String {
+        let named = |own: &str| full_name(own.trim()) == key;
+        let flag = self.flags.iter().find(|(own, _)| named(own));
+        let flag = flag.map(|(own, _)| format!("--{}", own.rsplit('.').next().unwrap_or(own)));
+        let set = || {
+            let set = self
+                .sets
+                .iter()
+                .rfind(|set| set.split_once('=').is_some_and(|(own, _)| named(own)));
+            set.map(|set| format!("--set {set}"))
+        };
+        flag.or_else(set).unwrap_or_else(|| self.document.name.clone())
     }
 
     /// Returns the document's tables.

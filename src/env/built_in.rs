@@ -1,12 +1,14 @@
-//! The environments that come along and need no SUMO, by name.
+//! The built-in environments, which need no SUMO, by name.
 
 use super::environment::Environment;
 use super::junction::{JunctionSize, TrafficJunction};
 
-/// Probability that a car comes at an entry in a step (MAGIC's script; IC3Net's README).
-const ARRIVALS: [f64; 2] = [0.2, 0.2];
+/// Probability that a car comes at an entry in a step (MAGIC's `train_tj_medium.sh` and
+/// `train_tj_easy.sh`; IC3Net raises it during training).
+const MEDIUM: [f64; 2] = [0.2, 0.2];
+const EASY: [f64; 2] = [0.3, 0.3];
 
-/// An environment that comes along.
+/// A built-in environment.
 #[derive(Debug, Clone, Copy)]
 pub struct BuiltIn {
     /// Name, as on the command line.
@@ -20,15 +22,15 @@ impl PartialEq for BuiltIn {
     }
 }
 
-/// All environments that come along.
+/// All built-in environments.
 const ALL: [BuiltIn; 2] = [
     BuiltIn {
         name: "traffic_junction",
-        make: || Box::new(TrafficJunction::environment(JunctionSize::Medium, ARRIVALS)),
+        make: || Box::new(TrafficJunction::environment(JunctionSize::Medium, MEDIUM)),
     },
     BuiltIn {
         name: "traffic_junction_easy",
-        make: || Box::new(TrafficJunction::environment(JunctionSize::Easy, ARRIVALS)),
+        make: || Box::new(TrafficJunction::environment(JunctionSize::Easy, EASY)),
     },
 ];
 

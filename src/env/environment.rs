@@ -1,5 +1,5 @@
-//! What learners and evaluations need of an environment: how to start its worlds, and what the
-//! worlds show.
+//! What learners and evaluations need of an environment: how to start its worlds, and what is
+//! observed of a world.
 
 use std::ops::Range;
 use std::path::Path;

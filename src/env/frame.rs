@@ -103,7 +103,9 @@ impl Frame {
         (self.active[agent], self.terminated[agent]) = (0.0, 1.0);
     }
 
-    /// Ends an agent's trajectory at the time limit: it acts no more, though it could go on.
+    /// Ends an agent's trajectory at the time limit. By default the limit is a deadline, after which
+    /// nothing follows in the return; with `train.bootstrap_horizon` the value of the last
+    /// observation stands for what would follow.
     pub fn truncate(&mut self, agent: usize) {
         (self.active[agent], self.truncated[agent]) = (0.0, 1.0);
     }

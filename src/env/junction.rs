@@ -1,14 +1,20 @@
 //! Traffic junction (Sukhbaatar et al. 2016, "Learning multiagent communication with
 //! backpropagation"; IC3Net and MAGIC, `traffic_junction_env.py`): cars on a grid enter a junction
-//! by given routes, and each only chooses whether to move on or to stay. Nobody sees the others, so
-//! that whoever comes has to be told.
+//! by given routes, and each only chooses whether to move or to stay. Cars do not observe each
+//! other, so that they depend on messages.
 //!
 //! In each step, a new car comes at each entry with a probability, as long as a slot is free. It may
 //! come onto an occupied cell. Cars in one cell collide and go on. An episode is a success if nobody
 //! collides in it.
 //!
-//! Differences on purpose: a car observes its entry and its progress instead of one number for its
-//! cell, and nothing of its surroundings (vision 0, in which the reference sees its own cell).
+//! Differences on purpose:
+//!
+//! - A car observes its entry and its progress instead of the number of its cell, and nothing of
+//!   its surroundings (IC3Net's vision 0; MAGIC's script has 1).
+//! - Cars come equally often in all of the training (IC3Net: ever more often).
+//! - A slot becomes free one step after its car has left.
+//! - The privileged state also has the car's age and the time that is left, on which its rewards
+//!   depend.
 
 use std::collections::BTreeMap;
 
@@ -134,6 +140,7 @@ impl TrafficJunction {
         let mut observation = Features::default();
         observation.push("own", 1, &own);
         let mut state = observation.clone();
+        state.push("time", 1, &[flag("age"), flag("time_left")]);
         let cells = |name| (name, "14 cells", -1.0, 1.0);
         let mut other = vec![flag("present"), cells("rows"), cells("columns")];
         other.extend(["straight", "right", "left"].map(flag));
@@ -254,7 +261,9 @@ impl TrafficJunction {
         others.sort_by_key(|([rows, columns], route)| {
             (rows.abs() + columns.abs(), *rows, *columns, *route)
         });
-        for (([rows, columns], route), out) in others.into_iter().zip(all[10..].chunks_exact_mut(6))
+        let steps = self.size.steps() as f32;
+        (all[10], all[11]) = (car.age as f32 / steps, 1.0 - self.step as f32 / steps);
+        for (([rows, columns], route), out) in others.into_iter().zip(all[12..].chunks_exact_mut(6))
         {
             out[..3].copy_from_slice(&[1.0, rows as f32 / FAR, columns as f32 / FAR]);
             out[3 + route] = 1.0;

@@ -73,11 +73,9 @@ pub trait MultiAgentEnv: Send {
     }
 
     /// Returns the share of agents that have reached their goal, at the end of an episode: policies
-    /// are compared by it, and exploration anneals and training stops by it
-    /// (`train.anneal_success`, `train.stop_success`).
-    fn success(&self) -> f64 {
-        0.0
-    }
+    /// are compared by it, exploration anneals and training stops by it (`train.anneal_success`,
+    /// `train.stop_success`), and episodes below 1 are repeated (`train.repeat_failed`).
+    fn success(&self) -> f64;
 
     /// Returns other metrics of the episode, by name, at its end.
     fn metrics(&self) -> Vec<(&'static str, f64)> {
@@ -125,6 +123,18 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Simple<F> {
         Self { backdrop, ..self }
     }
 
+    /// Checks that there are agents and actions.
+    fn check(&self) -> Result<(), Error> {
+        let EnvSpec { agents, actions, observation, .. } = &self.spec;
+        let what = match () {
+            () if *agents == 0 => "no agents",
+            () if actions.is_empty() || actions.choices() == Some(0) => "no actions",
+            () if observation.is_empty() => "no features in its observation",
+            () => return Ok(()),
+        };
+        Err(Error::Own { episode: 0, step: 0, what: format!("the environment has {what}") })
+    }
+
     fn idle(&self, stream: &Stream) -> LockStep<E> {
         let world = |e: u64| {
             let Stream { seed, episodes, replay, worlds, .. } = stream;
@@ -150,6 +160,7 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Environment for Sim
     }
 
     fn start(&self, stream: &Stream) -> Result<Box<dyn Worlds>, Error> {
+        self.check()?;
         let mut all = self.idle(stream);
         for (e, world) in all.worlds.iter_mut().enumerate() {
             world.episode.go_to(stream.episodes.start + e as u64);
@@ -167,6 +178,13 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Environment for Sim
                 world.step(&vec![0.0; width])?;
                 for actions in state.actions.chunks_exact(width) {
                     world.step(actions)?;
+                }
+                let back = (world.episode.index, world.episode.step as usize);
+                if back != (state.episode, state.actions.len() / width) {
+                    return Err(world.wrong_in_all(
+                        "the environment does not come back to where it was: it has changed, or an episode does not \
+                         depend on its seed and the actions alone",
+                    ));
                 }
             }
             world.finished = None;
@@ -293,6 +311,18 @@ impl<E: MultiAgentEnv> World<E> {
         }
         self.episode.step += 1;
         let before = self.frame.active.clone();
+        if let Some(choices) = self.env.spec().actions.choices() {
+            let is_choice =
+                |choice: f32| choice.fract() == 0.0 && (0.0..choices as f32).contains(&choice);
+            let acts = self.frame.active.iter().zip(&self.actions);
+            let wrong =
+                acts.enumerate().find(|(_, (acts, choice))| **acts > 0.0 && !is_choice(**choice));
+            if let Some((i, (_, choice))) = wrong {
+                return Err(
+                    self.wrong(i, &format!("the action {choice} is none of {choices} choices"))
+                );
+            }
+        }
         self.frame.begin(false);
         self.frame.reward.fill(0.0);
         self.env.step(&self.actions, &mut self.frame);
@@ -300,11 +330,19 @@ impl<E: MultiAgentEnv> World<E> {
         // An agent that acted and does not any more has come to an end, which somebody must name.
         for (i, acted) in before.iter().enumerate() {
             let frame = &self.frame;
+            let (acted, acts, begins) = (*acted > 0.0, frame.active[i] > 0.0, frame.start[i] > 0.0);
             let ended = frame.terminated[i] + frame.truncated[i] > 0.0;
-            if *acted > 0.0 && frame.active[i] == 0.0 && !ended {
-                return Err(
-                    self.wrong(i, "acts no more, but neither `end` nor `truncate` was called")
-                );
+            if acted && !acts && !ended {
+                let what = "acts no more, but neither `end` nor `truncate` was called";
+                return Err(self.wrong(i, what));
+            }
+            if !acted && acts && !begins {
+                return Err(self.wrong(i, "acts, but `begin_agent` was not called"));
+            }
+            if acted && begins {
+                let what =
+                    "begins in a slot that was in use until this step; let it come a step later";
+                return Err(self.wrong(i, what));
             }
         }
         let sum: f32 = self.frame.reward.iter().sum();
@@ -335,10 +373,42 @@ impl<E: MultiAgentEnv> World<E> {
         self.episode.end(success >= 1.0);
     }
 
-    /// Checks that the frame contains numbers, since one that does not would spoil all weights, and
-    /// that every agent that acts has a choice.
+    /// Checks that the frame has the sizes of the spec and contains numbers, since one that does not
+    /// would spoil all weights, that flags are 0 or 1, and that every agent that acts hears itself and
+    /// has a choice.
     fn check(&self) -> Result<(), Error> {
-        let frame = &self.frame;
+        let (frame, spec) = (&self.frame, self.env.spec());
+        let n = spec.agents;
+        let sizes = [
+            ("observation", &frame.observation, spec.observation.len()),
+            ("state", &frame.state, spec.state.len()),
+            ("comm", &frame.comm, n),
+            ("available", &frame.available, spec.actions.choices().unwrap_or(0)),
+            ("active", &frame.active, 1),
+            ("start", &frame.start, 1),
+            ("reward", &frame.reward, 1),
+            ("terminated", &frame.terminated, 1),
+            ("truncated", &frame.truncated, 1),
+        ];
+        for (what, values, width) in sizes {
+            if values.len() != n * width {
+                let (found, wanted) = (values.len(), n * width);
+                return Err(
+                    self.wrong_in_all(&format!("`{what}` has {found} numbers, not {wanted}"))
+                );
+            }
+        }
+        for (what, flags) in
+            [("comm", &frame.comm), ("available", &frame.available), ("active", &frame.active)]
+        {
+            if let Some(at) = flags.iter().position(|flag| *flag != 0.0 && *flag != 1.0) {
+                let text = format!("a number in `{what}` is {}, neither 0 nor 1", flags[at]);
+                return Err(self.wrong(at / (flags.len() / n), &text));
+            }
+        }
+        if let Some(i) = (0..n).find(|&i| frame.active[i] > 0.0 && frame.comm[i * n + i] < 1.0) {
+            return Err(self.wrong(i, "it acts, and `comm` does not have 1 on its diagonal for it"));
+        }
         if let Some(choices) = self.env.spec().actions.choices() {
             for (i, open) in frame.available.chunks_exact(choices).enumerate() {
                 if frame.active[i] > 0.0 && open.iter().all(|one| *one < 0.5) {
@@ -359,6 +429,11 @@ impl<E: MultiAgentEnv> World<E> {
             }
         }
         Ok(())
+    }
+
+    fn wrong_in_all(&self, what: &str) -> Error {
+        let Episode { index, step, .. } = &self.episode;
+        Error::Own { episode: *index, step: *step, what: what.to_owned() }
     }
 
     fn wrong(&self, agent: usize, what: &str) -> Error {

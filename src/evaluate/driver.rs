@@ -79,6 +79,11 @@ impl<'a> PolicyDriver<'a> {
         let mut diagnostics = RecordedDiagnostics::default();
         let width = self.spec.agents * self.spec.actions.len();
         match self.policy {
+            Policy::Constant(action) if action.len() != self.spec.actions.len() => {
+                let (found, wanted) = (action.len(), self.spec.actions.len());
+                let text = format!("the constant action has {found} numbers, not {wanted}");
+                return Err(env::Error::Policy(text));
+            }
             Policy::Constant(action) => {
                 for actions in self.actions.chunks_mut(action.len()) {
                     actions.copy_from_slice(action);

@@ -53,6 +53,11 @@ fn metrics_survive_their_json() {
     let metrics = Metrics { success, ..Metrics::default() };
     let again: Metrics = serde_json::from_str(&serde_json::to_string(&metrics).unwrap()).unwrap();
     assert_eq!(again.success, metrics.success);
+    assert_eq!(again.driving, None, "there are no vehicles");
+    let driving = DrivingMetrics { safety: success, ..DrivingMetrics::default() };
+    let metrics = Metrics { driving: Some(driving), ..metrics };
+    let again: Metrics = serde_json::from_str(&serde_json::to_string(&metrics).unwrap()).unwrap();
+    assert_eq!(again.driving().safety, success);
     assert!(again.driving().crash.mean.is_nan(), "null is no number");
 }
 

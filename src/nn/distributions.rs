@@ -24,6 +24,7 @@ pub fn gaussian_log_prob(mean: &Tensor, log_std: &Tensor, action: &Tensor) -> Te
 pub fn gaussian_entropy(log_std: &Tensor) -> Tensor {
     (log_std + (0.5 + HALF_LN_TAU)).sum_dim_intlist(-1, false, Kind::Float)
 }
+
 /// Logit of a choice that is not open.
 const CLOSED: f64 = -1e9;
 

@@ -7,7 +7,8 @@ use base64::engine::general_purpose::STANDARD;
 
 use super::{Column, FORMAT, Recording, Signal, Size, Status};
 use crate::env::{
-    Backdrop, EnvSpec, EpisodeRecord, FigureStatus, Lane, Picture, WorldPhase, WorldView, Worlds,
+    Backdrop, EnvSpec, EpisodeRecord, Figure, FigureStatus, Lane, Picture, WorldPhase, WorldView,
+    Worlds,
 };
 
 /// Number of steps for which a vehicle that has arrived stays visible.
@@ -46,6 +47,8 @@ struct Rows {
     reward: Vec<f64>,
     value: Vec<f64>,
     status: Vec<u8>,
+    /// Whether the agent was on its way.
+    acts: Vec<bool>,
     edges: Vec<u8>,
     others: Vec<Vec<[f64; 6]>>,
     /// States of each traffic light, step by step.
@@ -86,7 +89,8 @@ impl Recorder {
     pub fn new(spec: &EnvSpec, episode: u64) -> Self {
         let actions = spec.actions.names();
         let rows = Rows::new(spec.agents, actions.len());
-        let bounds = spec.actions.choices().map_or([-1.0, 1.0], |k| [0.0, k as f32]);
+        let bounds =
+            spec.actions.choices().map_or([-1.0, 1.0], |k| [0.0, k.saturating_sub(1) as f32]);
         Self { episode, agents: spec.agents, actions, bounds, rows, finished: false }
     }
 
@@ -108,7 +112,8 @@ impl Recorder {
         actions: &[f32],
         diagnostics: &RecordedDiagnostics,
     ) {
-        let Some(picture) = worlds.picture(e) else { return };
+        let Some(mut picture) = worlds.picture(e) else { return };
+        picture.agents.resize(self.agents, Figure::default());
         self.note(&worlds.view(e), &picture, actions, diagnostics);
     }
 
@@ -141,7 +146,9 @@ impl Recorder {
             let (sin, cos) = agent.heading.sin_cos();
             rows.heading.push(sin.atan2(cos));
             rows.sizes.iter_mut().zip(agent.size).for_each(|(column, size)| column.push(size));
-            let if_driving = |value: f64| if status == Status::Driving { value } else { f64::NAN };
+            let drives = status == Status::Driving || view.frame.active[i] > 0.0;
+            rows.acts.push(drives);
+            let if_driving = |value: f64| if drives { value } else { f64::NAN };
             rows.speed.push(if_driving(agent.speed));
             for (a, column) in rows.action.iter_mut().enumerate() {
                 let action = actions
@@ -188,7 +195,7 @@ impl Recorder {
         for view in views.filter(|view| view.episode == self.episode && view.step > 0) {
             let first = self.rows.reward.len().saturating_sub(self.agents);
             for (i, reward) in view.frame.reward.iter().enumerate() {
-                if Status::from(self.rows.status[first + i]) == Status::Driving {
+                if self.rows.acts.get(first + i) == Some(&true) {
                     self.rows.reward[first + i] = f64::from(*reward);
                 }
             }
@@ -260,7 +267,14 @@ impl Recorder {
             };
             Signal {
                 line: place.line,
-                states: self.rows.lights[place.light].iter().map(letter).collect(),
+                states: self
+                    .rows
+                    .lights
+                    .get(place.light)
+                    .into_iter()
+                    .flatten()
+                    .map(letter)
+                    .collect(),
             }
         });
         let has_others = self.rows.others.iter().any(|row| !row.is_empty());

@@ -1,5 +1,6 @@
 //! The files that a run writes: metrics, episodes of validations, and TensorBoard events.
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::Serialize;
@@ -151,6 +152,8 @@ impl Files {
             ("time/update_s", timers.update),
         ]);
         values.extend(trainer.worlds.counters());
+        let own = own_means("episode", episodes.iter().map(|record| &record.own));
+        values.extend(own.iter().map(|(name, mean)| (name.as_str(), *mean)));
         self.write(trainer.progress.step, &values)?;
         Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
     }
@@ -186,6 +189,21 @@ impl Files {
             values
                 .extend(keys.iter().zip(numbers).filter_map(|(key, number)| Some((*key, number?))));
         }
+        let own = own_means("validation", evaluation.episodes.iter().map(|record| &record.own));
+        values.extend(own.iter().map(|(name, mean)| (name.as_str(), *mean)));
         self.write(progress.step, &values)
     }
+}
+
+/// Returns the means of the metrics that an environment defines by itself, by their names in a group.
+fn own_means<'a>(
+    group: &str,
+    episodes: impl Iterator<Item = &'a BTreeMap<String, f64>>,
+) -> Vec<(String, f64)> {
+    let mut all: BTreeMap<&String, (f64, f64)> = BTreeMap::new();
+    for (name, value) in episodes.flatten() {
+        let (sum, count) = all.entry(name).or_default();
+        (*sum, *count) = (*sum + value, *count + 1.0);
+    }
+    all.into_iter().map(|(name, (sum, count))| (format!("{group}/{name}"), sum / count)).collect()
 }

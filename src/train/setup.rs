@@ -101,8 +101,15 @@ impl Trainer {
 
 /// Refuses to resume a run with settings under which its worlds cannot be restored.
 fn same_run(config: &Config, stored: &Checkpoint) -> Result<(), Error> {
-    const ONCE: [&str; 6] =
-        ["algorithm", "agents", "seed", "train.envs", "train.rollout_steps", "train.fewest_agents"];
+    const ONCE: [&str; 7] = [
+        "algorithm",
+        "environment",
+        "agents",
+        "seed",
+        "train.envs",
+        "train.rollout_steps",
+        "train.fewest_agents",
+    ];
     // Where the scenario's file is does not matter; its content is compared otherwise.
     let other =
         |key: &str| ONCE.contains(&key) || key.starts_with("scenario.") && key != "scenario.file";

@@ -1,7 +1,7 @@
 //! Environments of one's own: methods learn in them, runs go on bit for bit, and mistakes are named.
 
 use std::path::Path;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 
 use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
@@ -38,11 +38,23 @@ enum Mistake {
     NoNumber,
     Vanishing,
     Panic,
+    OtherSize,
+    NoFlag,
+    Deaf,
+    Uninvited,
+    TooEarly,
+    Chance,
 }
+
+/// Number of worlds that were made of an environment that depends on it.
+static MADE: AtomicU32 = AtomicU32::new(0);
 
 impl Line {
     fn new(mistake: Mistake) -> Self {
         let features = || Features::of("way", &[("left", "1", -1.0, 1.0), ("time", "1", 0.0, 1.0)]);
+        if mistake == Mistake::Chance {
+            MADE.fetch_add(1, Ordering::Relaxed);
+        }
         let spec = EnvSpec {
             agents: AGENTS,
             actions: vec![ActionDimension::named("speed")].into(),
@@ -113,7 +125,27 @@ impl MultiAgentEnv for Line {
                 Mistake::NoNumber => frame.observation_of(1)[0] = f32::NAN,
                 Mistake::Vanishing => frame.active.fill(0.0),
                 Mistake::Panic => panic!("there is no sixth step"),
+                Mistake::OtherSize => frame.observation.push(0.0),
+                Mistake::NoFlag => frame.comm[1] = 0.5,
+                Mistake::Deaf => frame.comm.fill(0.0),
+                Mistake::Uninvited | Mistake::TooEarly | Mistake::Chance => {}
             }
+        }
+        if self.mistake == Mistake::Uninvited && self.step == 2 {
+            frame.active[2] = 1.0;
+            Self::hear(frame);
+        }
+        if self.mistake == Mistake::TooEarly && self.step == 4 {
+            frame.end(2);
+            frame.begin_agent(2);
+        }
+        if self.mistake == Mistake::Chance && self.step == 3 + MADE.load(Ordering::Relaxed) / 9 {
+            (0..AGENTS)
+                .filter(|&i| frame.active[i] > 0.0)
+                .collect::<Vec<_>>()
+                .into_iter()
+                .for_each(|i| frame.end(i));
+            Self::hear(frame);
         }
     }
 
@@ -327,6 +359,28 @@ fn mistakes_of_an_environment_are_named() {
     assert!(text.contains("acts no more, but neither `end` nor `truncate` was called"), "{text}");
     let text = fails(Mistake::Panic);
     assert!(text.contains("the environment panicked: there is no sixth step"), "{text}");
+    for (mistake, what) in [
+        (Mistake::OtherSize, "`observation` has 7 numbers, not 6"),
+        (Mistake::NoFlag, "a number in `comm` is 0.5, neither 0 nor 1"),
+        (Mistake::Deaf, "`comm` does not have 1 on its diagonal for it"),
+        (Mistake::Uninvited, "agent 2: acts, but `begin_agent` was not called"),
+        (Mistake::TooEarly, "agent 2: begins in a slot that was in use until this step"),
+    ] {
+        let text = fails(mistake);
+        assert!(text.contains(what), "{mistake:?}: {text}");
+    }
+    // A run cannot go on in an environment that does not repeat itself.
+    let settings = || config("mappo", &["train.rollout_steps=66"]);
+    MADE.store(180, Ordering::Relaxed);
+    let mut trainer = Trainer::new(settings(), line(Mistake::Chance)).expect("a trainer");
+    trainer.iterate().expect("an iteration");
+    let stored = trainer.checkpoint();
+    MADE.store(0, Ordering::Relaxed);
+    let error = Trainer::resume(settings(), line(Mistake::Chance), &stored).err().expect("refused");
+    assert!(error.to_string().contains("does not come back to where it was"), "{error}");
+    let few = Layers { sets: vec!["train.fewest_agents=2".to_owned()], ..Layers::default() };
+    let error = few.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused");
+    assert!(error.to_string().contains("allowed in scenarios only"), "{error}");
     let many = Layers { sets: vec!["agents=5".to_owned()], ..Layers::default() };
     let error =
         many.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused").to_string();
@@ -426,9 +480,9 @@ fn methods_learn_discrete_actions() {
     }
 }
 
-/// Environments that come along are trained, evaluated, resumed, recorded and swept by name.
+/// Built-in environments are trained, evaluated, resumed, recorded and swept by name.
 #[test]
-fn environments_that_come_along_are_used_by_name() {
+fn built_in_environments_are_used_by_name() {
     let folder = folder();
     let run = folder.path().join("run");
     let name = |path: &Path| path.to_str().expect("text").to_owned();
@@ -487,7 +541,7 @@ fn environments_that_come_along_are_used_by_name() {
         ),
         (
             vec!["train", "--environment", "traffic_junction", "--set", "scenario=a.xml"],
-            "`a.xml` is a scenario; give one of the two",
+            "a run is in a scenario or in a built-in environment",
         ),
     ] {
         let (fine, text) = play(&arguments);

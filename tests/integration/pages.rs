@@ -18,7 +18,11 @@ case "$*" in
 train*--resume*) ;;
 train*)
     set -- "$@" --set steps=40 --set train.rollout_steps=20 --set train.validate_every=40 \
-        --set train.envs=1 --set train.validation_episodes=1 --set scenario.termination.horizon=80
+        --set train.envs=1 --set train.validation_episodes=1
+    case "$*" in
+    *--environment*) ;;
+    *) set -- "$@" --set scenario.termination.horizon=80 ;;
+    esac
     ;;
 evaluate*--episodes*)
     # Writes 2 instead of a number above 10, in a round of all arguments.

@@ -52,6 +52,11 @@ impl Arena {
     /// Refuses a policy that only vehicles can have.
     pub(super) fn check(&self, name: &str, policy: &Policy<'_>) -> anyhow::Result<()> {
         let any = matches!(policy, Policy::Gaussian | Policy::Uniform | Policy::Learned(_));
+        if name.starts_with("onnx:") && self.spec().actions.choices().is_some() {
+            bail!(
+                "{name}: ONNX models give continuous actions, and those of the environment are discrete"
+            );
+        }
         if matches!(self, Self::Other(_)) && !any {
             bail!(
                 "{name} drives vehicles; in an environment without SUMO choose gaussian or uniform"

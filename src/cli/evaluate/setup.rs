@@ -6,7 +6,7 @@ use std::sync::Arc;
 use anyhow::bail;
 use iwol_sumo::algo::{self, Algorithm, Channel};
 use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Place, Resolution};
+use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Resolution, TaskSource};
 use iwol_sumo::env::{EnvSpec, Task};
 use iwol_sumo::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
 use iwol_sumo::provenance::Training;
@@ -64,17 +64,16 @@ impl Setup {
             Some(Origin::Given(place)) => !place.starts_with("--"),
             _ => true,
         });
-        if let Some(run) = args.run.as_deref().and_then(RunDir::of) {
-            if let Place::Scenario(scenario) = &place {
-                tell_changes(args, &run, scenario, &replaced);
-            }
+        let run = args.run.as_deref().and_then(RunDir::of);
+        if let (Some(run), TaskSource::Scenario(scenario)) = (run, &place) {
+            tell_changes(args, &run, scenario, &replaced);
         }
         let arena = match &place {
-            Place::Scenario(scenario) => Arena::Roads {
+            TaskSource::Scenario(scenario) => Arena::Roads {
                 task: Arc::new(Task::new(scenario, config.agents)?),
                 hosting: config.hosting(),
             },
-            Place::BuiltIn(built_in) => Arena::Other(built_in.environment()),
+            TaskSource::BuiltIn(built_in) => Arena::Other(built_in.environment()),
         };
         let learned = match &checkpoint {
             Some(checkpoint) => Some((build(checkpoint, &config, arena.spec())?, config.channel)),

@@ -28,20 +28,20 @@ pub struct Traffic {
     hosting: Hosting,
     driver: Driver,
     rule: Option<Pursuit>,
-    /// The scenario as its file has it, of which the task's is made.
-    file: Option<Arc<Scenario>>,
+    /// The scenario with the values of the settings, of which the task's is made.
+    scenario: Option<Arc<Scenario>>,
 }
 
 impl Traffic {
     /// Agents control their vehicles by actions.
     pub fn new(task: &Arc<Task>, hosting: Hosting) -> Self {
-        Self { task: Arc::clone(task), hosting, driver: Driver::Agents, rule: None, file: None }
+        Self { task: Arc::clone(task), hosting, driver: Driver::Agents, rule: None, scenario: None }
     }
 
     /// Run folders contain this scenario, of which the task was made.
     #[must_use]
     pub fn described_by(self, scenario: &Scenario) -> Self {
-        Self { file: Some(Arc::new(scenario.clone())), ..self }
+        Self { scenario: Some(Arc::new(scenario.clone())), ..self }
     }
 
     /// SUMO drives the agents' vehicles.
@@ -99,7 +99,7 @@ impl Environment for Traffic {
     }
 
     fn description(&self, folder: &Path) -> std::io::Result<Option<(&'static str, String)>> {
-        let scenario = self.file.as_deref().unwrap_or(&self.task.scenario);
+        let scenario = self.scenario.as_deref().unwrap_or(&self.task.scenario);
         Ok(Some(("scenario.xml", scenario.to_xml_in(folder)?)))
     }
 }
