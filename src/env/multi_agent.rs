@@ -47,6 +47,10 @@ use crate::rng::Seed;
 ///             frame.end(i);
 ///         }
 ///     }
+///
+///     fn success(&self) -> f64 {
+///         1.0
+///     }
 /// }
 /// ```
 pub trait MultiAgentEnv: Send {

@@ -121,14 +121,13 @@ impl MultiAgentEnv for Line {
         self.observe(frame);
         if self.step == 5 {
             match self.mistake {
-                Mistake::None => {}
                 Mistake::NoNumber => frame.observation_of(1)[0] = f32::NAN,
                 Mistake::Vanishing => frame.active.fill(0.0),
                 Mistake::Panic => panic!("there is no sixth step"),
                 Mistake::OtherSize => frame.observation.push(0.0),
                 Mistake::NoFlag => frame.comm[1] = 0.5,
                 Mistake::Deaf => frame.comm.fill(0.0),
-                Mistake::Uninvited | Mistake::TooEarly | Mistake::Chance => {}
+                _ => {}
             }
         }
         if self.mistake == Mistake::Uninvited && self.step == 2 {
