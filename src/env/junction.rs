@@ -418,7 +418,7 @@ mod tests {
     fn cars_move_wait_and_collide() {
         let (always, _) = play(3, |_, _| 0.0);
         assert!(always.came > 10 && always.collisions > 0);
-        // Who stays at the entry collides with whoever comes there next.
+        // A car that stays at its entry collides with the next one that comes there.
         let (never, reward) = play(3, |_, _| 1.0);
         assert!(never.collisions > 100 && reward < -1000.0, "{} {reward}", never.collisions);
         let mut world = TrafficJunction::new(JunctionSize::Medium, [0.0, 0.0]);
