@@ -165,8 +165,8 @@ impl Layers {
         Ok(config)
     }
 
-    /// Checks that the number of agents is that of an environment without scenario, which is the same
-    /// in all episodes.
+    /// Checks that the number of agents is that of an environment without scenario, which is the
+    /// same in all episodes.
     fn check_agents(&self, config: &Config, spec: &EnvSpec) -> Result<(), Error> {
         if config.train.fewest_agents > 0 {
             let message = "allowed in scenarios only".to_owned();
@@ -212,8 +212,8 @@ impl Layers {
         setting: Setting<'_>,
     ) -> Result<(Config, Origins), Error> {
         let document = &self.document;
-        // The number of agents and the method give the defaults of learning, so that they are looked
-        // up first.
+        // The number of agents and the method give the defaults of learning, so that they are
+        // looked up first.
         let first = |key: &str| self.look_up(parsed, key);
         let word = |key: &str| first(key).and_then(|v| v.as_str().map(str::to_owned));
         let given = first("agents").and_then(|v| u32::try_from(v.as_integer()?).ok());

@@ -80,8 +80,8 @@ pub trait Worlds: Send {
     /// Returns what world `e` shows.
     fn view(&self, e: usize) -> WorldView<'_>;
 
-    /// Takes a step in all worlds with the actions `[E, N, A]`, or of more worlds. A world whose episode has ended
-    /// begins the next one instead.
+    /// Takes a step in all worlds with the actions `[E, N, A]`, or of more worlds. A world whose
+    /// episode has ended begins the next one instead.
     ///
     /// # Errors
     /// If the worlds cannot go on.

@@ -10,8 +10,8 @@ pub struct Frame {
     /// Privileged states, `[N, S]`; zeros where no agent is present.
     pub state: Vec<f32>,
     /// Physical mask G_p, `[N, N]`: 1 where two agents are within the communication range and, if
-    /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that are
-    /// present.
+    /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that
+    /// are present.
     pub comm: Vec<f32>,
     /// `[N, K]`, 1 where a choice is open to an agent, of the K choices of a discrete action; empty
     /// where actions are continuous.
@@ -97,14 +97,14 @@ impl Frame {
         (self.active[agent], self.start[agent]) = (1.0, 1.0);
     }
 
-    /// Ends an agent's trajectory because it has reached its goal or has failed: it acts no more, and
-    /// earns nothing after this step.
+    /// Ends an agent's trajectory because it has reached its goal or has failed: it acts no more,
+    /// and earns nothing after this step.
     pub fn end(&mut self, agent: usize) {
         (self.active[agent], self.terminated[agent]) = (0.0, 1.0);
     }
 
-    /// Ends an agent's trajectory at the time limit. By default the limit is a deadline, after which
-    /// nothing follows in the return; with `train.bootstrap_horizon` the value of the last
+    /// Ends an agent's trajectory at the time limit. By default the limit is a deadline, after
+    /// which nothing follows in the return; with `train.bootstrap_horizon` the value of the last
     /// observation stands for what would follow.
     pub fn truncate(&mut self, agent: usize) {
         (self.active[agent], self.truncated[agent]) = (0.0, 1.0);

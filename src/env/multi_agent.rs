@@ -15,8 +15,8 @@ use super::record::EpisodeRecord;
 use super::spec::EnvSpec;
 use crate::rng::Seed;
 
-/// One world of an environment of your own. Implement it, and give a function that makes such worlds
-/// to [`Simple`]: all methods can then be trained in it.
+/// One world of an environment of your own. Implement it, and give a function that makes such
+/// worlds to [`Simple`]: all methods can then be trained in it.
 ///
 /// The number N of agent slots is fixed; the frame says which of them act. All arrays of the frame
 /// have the sizes of [`MultiAgentEnv::spec`] and are reused from step to step.
@@ -64,9 +64,9 @@ pub trait MultiAgentEnv: Send {
     fn reset(&mut self, seed: Seed, frame: &mut Frame);
 
     /// Takes a step with the actions `[N, A]`, of which only those of active agents count; each is
-    /// in −1..1, or the number of a choice. The frame comes as it was left, but without rewards and ends: write rewards, what
-    /// is observed now, and who has come to an end ([`Frame::end`], [`Frame::truncate`]). An agent
-    /// that comes into a slot begins with [`Frame::begin_agent`].
+    /// in −1..1, or the number of a choice. The frame comes as it was left, but without rewards and
+    /// ends: write rewards, what is observed now, and who has come to an end ([`Frame::end`],
+    /// [`Frame::truncate`]). An agent that comes into a slot begins with [`Frame::begin_agent`].
     ///
     /// The episode is over when no agent acts any more, unless it [goes on](Self::goes_on).
     fn step(&mut self, actions: &[f32], frame: &mut Frame);
@@ -377,9 +377,9 @@ impl<E: MultiAgentEnv> World<E> {
         self.episode.end(success >= 1.0);
     }
 
-    /// Checks that the frame has the sizes of the spec and contains numbers, since one that does not
-    /// would spoil all weights, that flags are 0 or 1, and that every agent that acts hears itself and
-    /// has a choice.
+    /// Checks that the frame has the sizes of the spec and contains numbers, since one that does
+    /// not would spoil all weights, that flags are 0 or 1, and that every agent that acts hears
+    /// itself and has a choice.
     fn check(&self) -> Result<(), Error> {
         let (frame, spec) = (&self.frame, self.env.spec());
         let n = spec.agents;

@@ -15,8 +15,8 @@ pub struct EpisodeRecord {
     pub episode_length: u32,
     /// Share of agents that reached their goal; of vehicles, of those that arrived.
     pub success: f64,
-    /// Sum of the agents' own rewards over the episode, mean over agents; where slots change hands in
-    /// an environment without vehicles, mean over slots.
+    /// Sum of the agents' own rewards over the episode, mean over agents; where slots change hands
+    /// in an environment without vehicles, mean over slots.
     pub reward: f64,
     /// Metrics of vehicles; `None` in environments without them.
     #[serde(flatten, skip_serializing_if = "Option::is_none")]

@@ -110,7 +110,8 @@ impl OnnxPolicy {
         Ok(policy)
     }
 
-    /// Returns the actions `[batch, N, A]` for `observation [batch, N, O]` and `comm [batch, N, N]`.
+    /// Returns the actions `[batch, N, A]` for `observation [batch, N, O]` and `comm [batch, N,
+    /// N]`.
     fn run(&self, observation: &[f32], comm: &[f32]) -> Result<Vec<f32>, String> {
         let (batch, [n, o, a]) = (self.batch, self.sizes);
         let view = |width: usize, data| {
@@ -131,8 +132,8 @@ impl OnnxPolicy {
     }
 }
 
-/// Compares the names of the numbers of observations and actions with those of an environment. `text` is
-/// the JSON that `iwol export --onnx` writes.
+/// Compares the names of the numbers of observations and actions with those of an environment.
+/// `text` is the JSON that `iwol export --onnx` writes.
 fn compare_names(text: &str, spec: &EnvSpec) -> Result<(), String> {
     let metadata: Value = serde_json::from_str(text)
         .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;

@@ -1,9 +1,9 @@
 //! The policy's distributions: over continuous actions an independent normal distribution for each
-//! of the `A` action dimensions, over discrete ones a categorical distribution over the choices that
-//! are open.
+//! of the `A` action dimensions, over discrete ones a categorical distribution over the choices
+//! that are open.
 //!
-//! A continuous action is `mean + std * noise`, where the caller provides the noise. The action is not
-//! clipped here: the environment clips it, and the log density is that of the action before
+//! A continuous action is `mean + std * noise`, where the caller provides the noise. The action is
+//! not clipped here: the environment clips it, and the log density is that of the action before
 //! clipping.
 
 use tch::{Kind, Tensor};

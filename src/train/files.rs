@@ -195,7 +195,8 @@ impl Files {
     }
 }
 
-/// Returns the means of the metrics that an environment defines by itself, by their names in a group.
+/// Returns the means of the metrics that an environment defines by itself, by their names in a
+/// group.
 fn own_means<'a>(
     group: &str,
     episodes: impl Iterator<Item = &'a BTreeMap<String, f64>>,

@@ -78,8 +78,8 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
     all
 }
 
-/// Returns all methods with the encoder `mlp`, and some with `gru`, or with `attention` and a disturbed
-/// channel.
+/// Returns all methods with the encoder `mlp`, and some with `gru`, or with `attention` and a
+/// disturbed channel.
 fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
     let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
     algo::NAMES

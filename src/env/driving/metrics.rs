@@ -1,5 +1,5 @@
-//! Metrics of an episode of vehicles. Success, safety and efficiency are defined as in the paper's released
-//! evaluation (`driving_tasks`).
+//! Metrics of an episode of vehicles. Success, safety and efficiency are defined as in the paper's
+//! released evaluation (`driving_tasks`).
 
 use serde::{Deserialize, Serialize};
 
@@ -7,8 +7,8 @@ use super::audit::Audit;
 use super::failures::Failures;
 use super::trips::FlowMetrics;
 
-/// Metrics of one finished episode of vehicles. Shares are fractions of the episode's agents, without
-/// those from route files that are on the road at the end and not late (`trips.rs`).
+/// Metrics of one finished episode of vehicles. Shares are fractions of the episode's agents,
+/// without those from route files that are on the road at the end and not late (`trips.rs`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DrivingRecord {
     /// Share of agents that neither crashed nor went off-road.
@@ -20,8 +20,8 @@ pub struct DrivingRecord {
     /// Share of agents that neither arrived nor failed; 0 in files of older versions.
     #[serde(default)]
     pub unfinished: f64,
-    /// Time that an agent took longer than it would alone, at full throttle from its departure time,
-    /// mean over the agents from spawn places that arrived \[s\]; `None` if none did.
+    /// Time that an agent took longer than it would alone, at full throttle from its departure
+    /// time, mean over the agents from spawn places that arrived \[s\]; `None` if none did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub delay: Option<f64>,
     /// (success − danger) · N / steps, in agents per step; danger is the share of agents that

@@ -1,5 +1,5 @@
-//! Discrete actions: every method that can have them takes open choices only, and its updates see the
-//! policy that acted.
+//! Discrete actions: every method that can have them takes open choices only, and its updates see
+//! the policy that acted.
 
 use iwol_sumo::algo::settings::EncoderKind;
 use iwol_sumo::algo::{self, ActMode, Algorithm, Observation};
