@@ -14,7 +14,8 @@ use toml::Value;
 const ROBOTS: usize = 4;
 const STEPS: u32 = 40;
 
-struct Square {
+/// A world with four robots in a square.
+pub(crate) struct Square {
     spec: EnvSpec,
     /// Place and goal of each robot, in 0..1.
     robots: [[f32; 4]; ROBOTS],
@@ -23,13 +24,15 @@ struct Square {
 }
 
 impl Square {
-    fn new() -> Self {
+    /// Creates a world.
+    pub(crate) fn new() -> Self {
         let number = |name| (name, "side of the square", -1.0, 1.0);
         let spec = EnvSpec {
             agents: ROBOTS,
             actions: vec![ActionDimension::named("x"), ActionDimension::named("y")].into(),
             observation: Features::of("goal", &["dx", "dy"].map(number)),
             state: Features::of("goal", &["dx", "dy"].map(number)),
+            metrics: Vec::new(),
         };
         Self { spec, robots: [[0.0; 4]; ROBOTS], step: 0, arrived: 0 }
     }

@@ -14,7 +14,7 @@ mod onnx;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::env::{self, Environment, EpisodeRecord, Stream};
+use crate::env::{self, Environment, EpisodeRecord, OwnMetric, Stream};
 use crate::metrics::WINDOW;
 use crate::replay::Recorder;
 use crate::rng::Seed;
@@ -61,12 +61,15 @@ pub struct Evaluation {
     pub reconstruction: Vec<Knowledge>,
     /// Bits that an agent sent per decision, of each episode; empty for policies without messages.
     pub message_bits: Vec<f64>,
+    /// The metrics that the environment defines by itself.
+    pub own: Vec<OwnMetric>,
 }
 
 impl Evaluation {
     /// Returns the summary over all episodes; `None` without episodes.
     pub fn metrics(&self) -> Option<Metrics> {
-        Metrics::of(&self.episodes, &self.windows, &self.reconstruction, &self.message_bits)
+        let Self { episodes, windows, reconstruction, message_bits, own } = self;
+        Metrics::of(own, episodes, windows, reconstruction, message_bits)
     }
 }
 
@@ -113,6 +116,7 @@ pub fn evaluate(
                 windows,
                 reconstruction: actor.map(Actor::knowledge).unwrap_or_default(),
                 message_bits: actor.map(Actor::message_bits).unwrap_or_default(),
+                own: spec.metrics.clone(),
             });
         }
         let mean = (WINDOW - missing).div_ceil(all.len()).max(1);
@@ -163,7 +167,8 @@ impl Stage<'_> {
     ) -> Result<Vec<EpisodeRecord>, env::Error> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
         let stream = Stream {
-            replay: 0.0,
+            training: false,
+            repeat_failed: 0.0,
             worlds,
             seed: self.seed.child("episodes"),
             episodes: episodes.clone(),
@@ -246,6 +251,7 @@ mod tests {
                 windows: vec![1.0],
                 reconstruction: Vec::new(),
                 message_bits: Vec::new(),
+                own: Vec::new(),
             };
             evaluation.metrics().expect("episodes").driving().km_per_crash.expect("they moved")
         };

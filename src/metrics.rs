@@ -6,6 +6,7 @@
 //! name that sweep files may use. Values are measured in [`EpisodeRecord`]s.
 
 mod metric;
+mod own;
 mod result;
 
 use std::collections::BTreeMap;
@@ -13,14 +14,17 @@ use std::fmt::Write as _;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::env::{Audit, BackgroundMetrics, DrivingRecord, EpisodeRecord, Failures, FlowMetrics};
+use crate::env::{
+    Audit, BackgroundMetrics, DrivingRecord, EpisodeRecord, Failures, FlowMetrics, OwnMetric,
+};
 use crate::stats::Estimate;
 
 use metric::{
     APART, BRAKING, COUNT, FINE, FINE_COUNT, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS,
-    SPEED,
+    SPEED, Source,
 };
 pub use metric::{Better, Metric, Scale, Shown};
+pub use own::{OwnEstimate, built_in, own};
 pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 
 /// Number of steps of the window over which the paper sums rewards.
@@ -42,6 +46,12 @@ pub fn all() -> impl Iterator<Item = &'static Metric> {
         .chain(details)
         .chain(FlowSummary::REGISTERED)
         .chain(BackgroundSummary::REGISTERED)
+}
+
+/// Returns the metric with this key, of all metrics and of those that the built-in environments
+/// define by themselves.
+pub fn named(id: &str) -> Option<&'static Metric> {
+    all().chain(built_in()).find(|metric| metric.id == id)
 }
 
 /// Returns the metrics that an output shows, if results contain them.
@@ -81,10 +91,10 @@ macro_rules! metrics {
                 better: Better::$better,
                 shown: Shown::$shown,
                 explanation: $explanation,
-                field: |metrics| {
+                source: Source::Field(|metrics| {
                     let part: fn(&Metrics) -> Option<&$name> = $part;
                     part(metrics)?.$id.estimate()
-                },
+                }),
             }),*];
 
             #[allow(clippy::needless_update)]
@@ -104,7 +114,7 @@ metrics! {
             "success", "success (%)", PERCENT, Higher, Everywhere,
             "Share of agents that reached their goal; of vehicles, of those that arrived.";
         reward: Estimate = |e| e.mean(|r| r.reward),
-            "reward", "reward per agent and episode", NUMBER, Higher, InEvaluations,
+            "reward", "reward per agent and episode", NUMBER, Higher, InTables,
             "Reward per agent and episode.";
         window_reward: Estimate = |e| Estimate::t(e.windows).unwrap_or_default(),
             "window reward (throughput)", "reward per agent in 1000 steps",
@@ -125,7 +135,7 @@ metrics! {
         pub driving: Option<DrivingMetrics>,
         /// Metrics that the environment defines by itself, by name.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
-        pub own: BTreeMap<String, Estimate>,
+        pub own: BTreeMap<String, OwnEstimate>,
         /// How well the policy's latent predicts its targets; empty for policies without a latent.
         pub reconstruction: Vec<Knowledge>,
     }
@@ -346,8 +356,10 @@ fn mean<R>(all: &[R], chosen: fn(&R) -> bool, of: fn(&R) -> f64) -> Option<Estim
 }
 
 impl Metrics {
-    /// Summarises episodes and windows; `None` without an episode or a window.
+    /// Summarises episodes and windows; `None` without an episode or a window. `own`: the metrics
+    /// that the environment defines by itself.
     pub fn of(
+        own: &[OwnMetric],
         records: &[EpisodeRecord],
         windows: &[f64],
         reconstruction: &[Knowledge],
@@ -358,14 +370,9 @@ impl Metrics {
         }
         let drives: Vec<&DrivingRecord> =
             records.iter().filter_map(|record| record.driving.as_ref()).collect();
-        let mut own: BTreeMap<String, Vec<f64>> = BTreeMap::new();
-        for (name, value) in records.iter().flat_map(|record| &record.own) {
-            own.entry(name.clone()).or_default().push(*value);
-        }
-        let own = own.into_iter().filter_map(|(name, values)| Some((name, Estimate::t(&values)?)));
         Some(Self {
             driving: (!drives.is_empty()).then(|| DrivingMetrics::of(drives)),
-            own: own.collect(),
+            own: own::summary(own, records),
             reconstruction: reconstruction.to_vec(),
             ..Self::measure(&Episodes { records, windows, message_bits })
         })

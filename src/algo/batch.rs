@@ -13,48 +13,48 @@ use crate::rollout::Rollout;
 pub(super) const EDGES: [&str; 2] = ["graph/open_edges", "graph/possible_edges"];
 
 /// A rollout as tensors. The first dimension is the row `t · E + e` of step t and environment e.
-pub(super) struct Batch {
+pub struct Batch {
     /// Observations, `[(T + 1) · E, N, O]`.
-    pub(super) observation: Tensor,
+    pub observation: Tensor,
     /// Privileged states, `[(T + 1) · E, N, S]`.
-    pub(super) state: Tensor,
+    pub state: Tensor,
     /// Physical masks, `[(T + 1) · E, N, N]`.
-    pub(super) comm: Tensor,
+    pub comm: Tensor,
     /// The numbers of false messages, or 0, `[(T + 1) · E, N, N]`; empty where none is falsified.
-    pub(super) replaced: Tensor,
+    pub replaced: Tensor,
     /// 1 where a choice is open, `[(T + 1) · E, N, K]`; empty where actions are continuous.
-    pub(super) available: Tensor,
+    pub available: Tensor,
     /// 1 where an agent acts, `[T · E, N]`.
-    pub(super) active: Tensor,
+    pub active: Tensor,
     /// 0 where a trajectory starts and memories are cleared, else 1, `[(T + 1) · E, N]`.
-    pub(super) keep: Tensor,
+    pub keep: Tensor,
     /// Memory of the policy before each decision, `[(T + 1) · E, N, M]`.
-    pub(super) memory: Tensor,
+    pub memory: Tensor,
     /// Memory of the value function before each row, `[(T + 1) · E, N, M]`.
-    pub(super) value_memory: Tensor,
+    pub value_memory: Tensor,
     /// Noise of the policy's G communication graphs side by side, `[(T + 1) · E, N, G · N]`; empty
     /// for policies without a graph.
-    pub(super) policy_graph: Tensor,
+    pub policy_graph: Tensor,
     /// Noise of the value function's communication graph, `[(T + 1) · E, N, N]`; empty for value
     /// functions without a graph.
-    pub(super) value_graph: Tensor,
+    pub value_graph: Tensor,
     /// Actions as sampled, not clipped, `[T · E, N, A]`.
-    pub(super) action: Tensor,
+    pub action: Tensor,
     /// Log-probability of each dimension of the action, `[T · E, N, A]`.
-    pub(super) log_prob: Tensor,
+    pub log_prob: Tensor,
     /// Shift of the means by noise of earlier steps, in units of the scheduled standard deviation,
     /// `[T · E, N, A]`; empty where noise is independent from step to step.
-    pub(super) carried: Tensor,
+    pub carried: Tensor,
     /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, 1]`.
-    pub(super) log_fresh: Tensor,
+    pub log_fresh: Tensor,
     /// Advantages, normalised over the active samples, `[T · E, N]`.
-    pub(super) advantage: Tensor,
+    pub advantage: Tensor,
     /// Returns in units of the reward, `[T · E, N]`.
-    pub(super) returns: Tensor,
+    pub returns: Tensor,
     /// Outputs of the value network (normalised) before the update, `[T · E, N]`.
-    pub(super) value: Tensor,
+    pub value: Tensor,
     /// Share of the returns' variance that the values explained before the update.
-    pub(super) explained_variance: f64,
+    pub explained_variance: f64,
 }
 
 impl Batch {
@@ -180,19 +180,19 @@ impl Batch {
 }
 
 /// A part of a minibatch, on which one copy of the networks works.
-pub(super) struct Shard {
+pub struct Shard {
     /// Sequence length L. Rows come as `[L, C]` for C sequences.
-    pub(super) length: i64,
+    pub length: i64,
     /// Rows `t · E + e`, step-major, `[L · C]`.
     rows: Tensor,
     /// Rows of the first steps, `[C]`.
-    pub(super) first: Tensor,
+    pub first: Tensor,
     /// Indices of the active samples among the `L · C · N`, ascending, `[B]`.
     samples: Tensor,
     /// Number of agent slots N.
     agents: i64,
     /// Share of the minibatch's active samples that belong to this shard.
-    pub(super) weight: f64,
+    pub weight: f64,
 }
 
 /// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `shards`
@@ -242,18 +242,18 @@ pub(super) fn minibatches(
 
 impl Shard {
     /// Returns this shard's rows of a tensor, `[L · C, …]`.
-    pub(super) fn take(&self, tensor: &Tensor) -> Tensor {
+    pub fn take(&self, tensor: &Tensor) -> Tensor {
         tensor.index_select(0, &self.rows)
     }
 
     /// Returns the active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
-    pub(super) fn active(&self, tensor: &Tensor) -> Tensor {
+    pub fn active(&self, tensor: &Tensor) -> Tensor {
         self.pick(&self.take(tensor))
     }
 
     /// Returns about the share `share` of `x: [B, ..]`, which has a row for each active sample. The
     /// part is random because the chunks are shuffled.
-    pub(super) fn part(&self, x: &Tensor, share: f64) -> Tensor {
+    pub fn part(&self, x: &Tensor, share: f64) -> Tensor {
         let some = |count: i64| ((count as f64 * share).ceil() as i64).clamp(1, count);
         if self.length == 1 {
             return x.narrow(0, 0, some(x.size()[0]));
@@ -267,7 +267,7 @@ impl Shard {
 
     /// Returns the active samples of tensors that hold the present agents of this shard's rows,
     /// `[P, …]` to `[B, …]`.
-    pub(super) fn unpacked<const K: usize>(
+    pub fn unpacked<const K: usize>(
         &self,
         packing: &Packing,
         tensors: [&Tensor; K],
@@ -278,14 +278,14 @@ impl Shard {
     /// Returns how many edges of a graph are open and how many are physically possible per
     /// listener, means over the active samples. `graph` and `comm` hold this shard's rows,
     /// `[L · C, N, N]`.
-    pub(super) fn edges(&self, graph: &Tensor, comm: &Tensor) -> [Tensor; 2] {
+    pub fn edges(&self, graph: &Tensor, comm: &Tensor) -> [Tensor; 2] {
         let counts = self.pick(&count_edges(graph, comm)).mean_dim(0, false, Kind::Float);
         [counts.get(0), counts.get(1)]
     }
 
     /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to
     /// `[B, …]`.
-    pub(super) fn pick(&self, tensor: &Tensor) -> Tensor {
+    pub fn pick(&self, tensor: &Tensor) -> Tensor {
         tensor.flatten(0, 1).index_select(0, &self.samples)
     }
 }

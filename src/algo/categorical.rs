@@ -11,7 +11,7 @@ use crate::nn::{Init, Linear, categorical_entropy, categorical_log_probs};
 
 /// A policy head that gives the probabilities of K choices.
 #[derive(Debug)]
-pub(super) struct CategoricalHead {
+pub struct CategoricalHead {
     logits: Linear,
     choices: i64,
 }

@@ -12,7 +12,7 @@ use crate::env::{EnvSpec, Features};
 use crate::nn::{Init, Linear, Path, ValueNorm};
 
 /// The value function of a method.
-pub(super) trait ValueFunction {
+pub trait ValueFunction {
     /// Returns the width of its memory per agent; 0 where it has none of its own.
     fn memory(&self) -> i64;
 
@@ -28,13 +28,14 @@ pub(super) trait ValueFunction {
 
 /// A value function of given features: an encoder and a linear layer.
 #[derive(Debug)]
-pub(super) struct Critic {
+pub struct Critic {
     encoder: Encoder,
     value: Linear,
 }
 
 impl Critic {
-    pub(super) fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
+    /// Creates a value function of these features.
+    pub fn new(mut path: Path<'_>, features: &Features, network: &Network) -> Self {
         Self {
             encoder: Encoder::new(path.sub("encoder"), features, network),
             value: Linear::new(path.sub("value"), network.hidden, 1, Init::Orthogonal(1.0)),
@@ -42,20 +43,20 @@ impl Critic {
     }
 
     /// Returns the width of the memory per agent.
-    pub(super) fn memory(&self) -> i64 {
+    pub fn memory(&self) -> i64 {
         self.encoder.memory()
     }
 
     /// Returns the values (normalised) of `features: [E, N, ..]` at one decision, `[E, N]`; `None`
     /// where the critic has a memory, because that memory is not kept outside training.
-    pub(super) fn value(&self, features: &Tensor, input: &Observation) -> Option<Tensor> {
+    pub fn value(&self, features: &Tensor, input: &Observation) -> Option<Tensor> {
         let nothing = input.memory.narrow(2, 0, 0);
         (self.encoder.memory() == 0).then(|| self.values(features, &input.keep(), 1, &nothing).0)
     }
 
     /// Returns the values (normalised) of sequences of `length` steps, `features: [rows, N, ..]` to
     /// `[rows, N]`, and the memory after each step.
-    pub(super) fn values(
+    pub fn values(
         &self,
         features: &Tensor,
         keep: &Tensor,
@@ -65,25 +66,30 @@ impl Critic {
         let (f, after) = encode_rows(&self.encoder, features, memory, keep, length);
         (self.value.forward(&f).squeeze_dim(-1), after)
     }
+
+    /// Returns the values (normalised) of a shard's active samples, `[B]`, from features of all rows
+    /// side by side, `[rows, N, ..]` each.
+    pub fn shard(&self, features: &[&Tensor], batch: &Batch, shard: &Shard) -> Tensor {
+        let f = encode_active(&self.encoder, shard, features, &batch.value_memory, &batch.keep);
+        self.value.forward(&f).squeeze_dim(-1)
+    }
 }
 
 /// V(o, s) of each agent's own observation and its own view of the privileged state. Both views
 /// begin with the agent itself, so that one network gives agents with individual rewards individual
 /// values.
 #[derive(Debug)]
-pub(super) struct PrivilegedCritic(Critic);
+pub struct PrivilegedCritic(Critic);
 
 impl PrivilegedCritic {
-    pub(super) fn new(path: Path<'_>, spec: &EnvSpec, network: &Network) -> Self {
+    /// Creates the value function.
+    pub fn new(path: Path<'_>, spec: &EnvSpec, network: &Network) -> Self {
         Self(Critic::new(path, &spec.observation.join(&spec.state), network))
     }
 
     /// Returns the values (normalised) of a shard's active samples, `[B]`.
-    pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
-        let privileged = [&batch.observation, &batch.state];
-        let f =
-            encode_active(&self.0.encoder, shard, &privileged, &batch.value_memory, &batch.keep);
-        self.0.value.forward(&f).squeeze_dim(-1)
+    pub fn shard(&self, batch: &Batch, shard: &Shard) -> Tensor {
+        self.0.shard(&[&batch.observation, &batch.state], batch, shard)
     }
 }
 
@@ -103,12 +109,7 @@ impl ValueFunction for PrivilegedCritic {
 }
 
 /// Returns the value loss of a shard from the critic's outputs for its active samples.
-pub(super) fn value_loss(
-    batch: &Batch,
-    shard: &Shard,
-    values: &Tensor,
-    norm: &ValueNorm,
-) -> Tensor {
+pub fn value_loss(batch: &Batch, shard: &Shard, values: &Tensor, norm: &ValueNorm) -> Tensor {
     let target = norm.normalize(&shard.active(&batch.returns));
     ppo::value_loss(values, &shard.active(&batch.value), &target, &target.ones_like())
 }

@@ -45,18 +45,19 @@ impl Observation {
     }
 
     /// Returns 0 where memories are cleared before the decision and 1 elsewhere, `[E, N]`.
-    pub(super) fn keep(&self) -> Tensor {
+    pub fn keep(&self) -> Tensor {
         self.start.ones_like() - &self.start
     }
 
     /// Returns the memory after the decision, `[E, N, M]`: what the encoder remembers, or the old
     /// memory where the encoder has none.
-    pub(super) fn memory_after(&self, encoder: Option<Tensor>) -> Tensor {
+    pub fn memory_after(&self, encoder: Option<Tensor>) -> Tensor {
         encoder.map_or_else(|| self.memory.shallow_clone(), |memory| memory.view_as(&self.memory))
     }
 
     /// Returns this input with the memory `memory`.
-    pub(super) fn with_memory(&self, memory: Tensor) -> Self {
+    #[must_use]
+    pub fn with_memory(&self, memory: Tensor) -> Self {
         Self { memory, ..self.map(Tensor::shallow_clone) }
     }
 
@@ -99,7 +100,7 @@ pub enum ActMode<'a> {
 
 impl ActMode<'_> {
     /// Returns the noise of the graphs; `None` for the most likely graphs.
-    pub(super) fn graph_noise(&self) -> Option<&Tensor> {
+    pub fn graph_noise(&self) -> Option<&Tensor> {
         match self {
             Self::Deterministic => None,
             Self::Sample { graph, .. } => Some(*graph),

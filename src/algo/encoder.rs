@@ -120,7 +120,7 @@ impl Encoder {
 /// Embeds rows of all N agents, features `[L · C, N, O]` to `[L · C, N, H]`. `memory` (`C · N · M`
 /// numbers) is that before the first of L steps, and `keep` is `[L · C, N]`. Also returns the
 /// memory after each step, `[L, C · N, M]`, if there is one.
-pub(super) fn encode_rows(
+pub fn encode_rows(
     encoder: &Encoder,
     features: &Tensor,
     memory: &Tensor,
@@ -137,7 +137,7 @@ pub(super) fn encode_rows(
 
 /// Embeds a shard's active samples, `[B, H]`, from one or more feature tensors side by side.
 /// `memory` is the encoder's memory before each row of the batch.
-pub(super) fn encode_active(
+pub fn encode_active(
     encoder: &Encoder,
     shard: &Shard,
     features: &[&Tensor],
@@ -151,7 +151,7 @@ pub(super) fn encode_active(
 
 /// Embeds a shard's active samples, as [`encode_active`], from features of the shard's rows only,
 /// `[L · C, N, O]`. `memory` and `keep` hold all rows of the batch.
-pub(super) fn encode_shard(
+pub fn encode_shard(
     encoder: &Encoder,
     shard: &Shard,
     x: &Tensor,
@@ -168,7 +168,7 @@ pub(super) fn encode_shard(
 
 /// Embeds the local observations of one decision, `[E, N, H]`. Also returns the memory after the
 /// decision, `[E, N, M]`.
-pub(super) fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
+pub fn encode_locally(encoder: &Encoder, input: &Observation) -> (Tensor, Tensor) {
     let (f, memory) = encode_rows(encoder, &input.observation, &input.memory, &input.keep(), 1);
     (f, input.memory_after(memory))
 }

@@ -62,7 +62,7 @@ pub enum NoiseMode {
 
 /// A policy head that gives mean and standard deviation of the actions.
 #[derive(Debug)]
-pub(super) struct GaussianHead {
+pub struct GaussianHead {
     mean: Linear,
     log_std: Tensor,
     /// Offset of each dimension's logarithm of the standard deviation from the scheduled one,

@@ -2,8 +2,9 @@
 //! loss (`networks`). `actor_critic` trains them by proximal policy optimisation, with the losses of
 //! [`ppo`]; a method that is trained otherwise implements [`Algorithm`] itself.
 //!
-//! A new method needs a file, its `mod` line and an entry in `METHODS` below. Commands, messages
-//! and tests follow from that entry.
+//! A new method of this crate needs a file, its `mod` line and an entry in `METHODS` below. Commands,
+//! messages and tests follow from that entry. An application adds a method of its own by [`register`];
+//! [`method`] has what such a method is made of.
 
 #![cfg(feature = "learn")]
 
@@ -45,6 +46,8 @@ pub use device::{ComputeDevice, NoDevice};
 pub use frames::store_frames;
 pub use settings::Settings;
 
+use std::sync::RwLock;
+
 use tch::{Device, Tensor};
 
 use self::actor_critic::ActorCritic;
@@ -55,7 +58,20 @@ use crate::nn;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// All methods, in the order in which commands and messages list them.
+/// What a method that is trained by proximal policy optimisation is made of: it implements
+/// [`Networks`], and is then trained, stored, resumed and evaluated as the methods
+/// of this crate are.
+pub mod method {
+    pub use super::batch::{Batch, Shard};
+    pub use super::critic::{Critic, PrivilegedCritic, ValueFunction, value_loss};
+    pub use super::encoder::{Encoder, encode_active, encode_locally, encode_rows, encode_shard};
+    pub use super::networks::{Loss, Networks};
+    pub use super::parameters::{ACTOR, CRITIC, ParameterBuilder, ParameterGroup};
+    pub use super::policy::{PolicyHead, PolicyTerms, Ratio};
+    pub use super::radio::Radio;
+}
+
+/// All methods of this crate, in the order in which commands and messages list them.
 const METHODS: &[Method] = &[
     Method::of::<mappo::Mappo>(),
     Method::of::<im_iwol::ImIwol>(),
@@ -70,7 +86,7 @@ const METHODS: &[Method] = &[
     maddpg::MADDPG_IWOL,
 ];
 
-/// Names of the algorithms, as on the command line.
+/// Names of the methods of this crate, as on the command line.
 pub const NAMES: [&str; METHODS.len()] = {
     let mut names = [""; METHODS.len()];
     let mut i = 0;
@@ -81,7 +97,42 @@ pub const NAMES: [&str; METHODS.len()] = {
     names
 };
 
+/// Methods that applications added.
+static REGISTERED: RwLock<Vec<Method>> = RwLock::new(Vec::new());
+
+/// Adds a method of your own, under its name, for all trainings and evaluations of this process.
+///
+/// # Errors
+/// [`Error::NameTaken`] if another method has this name.
+pub fn register<N: Networks + 'static>() -> Result<(), Error> {
+    let mut registered = REGISTERED.write().unwrap_or_else(std::sync::PoisonError::into_inner);
+    if METHODS.iter().chain(&*registered).any(|method| method.name == N::NAME) {
+        return Err(Error::NameTaken { name: N::NAME });
+    }
+    registered.push(Method::of::<N>());
+    Ok(())
+}
+
+/// Returns all methods: those of this crate, then those that applications added.
+fn methods() -> Vec<Method> {
+    let registered = REGISTERED.read().unwrap_or_else(std::sync::PoisonError::into_inner);
+    METHODS.iter().chain(&*registered).copied().collect()
+}
+
+/// Returns the names of all methods: those of this crate, then those that applications added.
+pub fn names() -> Vec<&'static str> {
+    methods().iter().map(|method| method.name).collect()
+}
+
+/// Lists the names of the methods with a property, for messages.
+fn those_that(can: impl Fn(&Capabilities) -> bool) -> String {
+    let all = methods();
+    let names = all.iter().filter(|method| can(&method.capabilities)).map(|method| method.name);
+    names.collect::<Vec<_>>().join(", ")
+}
+
 /// The static description of a method, and the function that builds it.
+#[derive(Clone, Copy)]
 struct Method {
     name: &'static str,
     capabilities: Capabilities,
@@ -111,8 +162,8 @@ impl Method {
         }
     }
 
-    fn named(name: &str) -> Result<&'static Self, Error> {
-        let found = METHODS.iter().find(|method| method.name == name);
+    fn named(name: &str) -> Result<Self, Error> {
+        let found = methods().into_iter().find(|method| method.name == name);
         found.ok_or_else(|| Error::UnknownAlgorithm { name: name.to_owned() })
     }
 }
@@ -319,10 +370,16 @@ pub fn build(
 #[non_exhaustive]
 pub enum Error {
     /// No algorithm has this name.
-    #[error("there is no algorithm `{name}`; choose one of {}", NAMES.join(", "))]
+    #[error("there is no algorithm `{name}`; choose one of {}", names().join(", "))]
     UnknownAlgorithm {
         /// The unknown name.
         name: String,
+    },
+    /// A method is to be registered under a name that another method has.
+    #[error("there is a method called `{name}` already; give yours another `NAME`")]
+    NameTaken {
+        /// The name.
+        name: &'static str,
     },
     /// Training diverged.
     #[error("training diverged: {what} is not finite; try a lower ppo.learning_rate")]
@@ -334,7 +391,7 @@ pub enum Error {
     #[error(
         "{algorithm} has parameters for each of {trained} agents and cannot be used with {agents}; use the same number of agents as \
          in its training (--agents, scenario.traffic.penetration), or choose a method for any number of agents: {}",
-        METHODS.iter().filter(|method| method.capabilities.any_number).map(|m| m.name).collect::<Vec<_>>().join(", ")
+        those_that(|method| method.any_number)
     )]
     FixedAgents {
         /// Name of the algorithm.
@@ -355,7 +412,7 @@ pub enum Error {
     /// A method for continuous actions is to be trained where actions are discrete.
     #[error(
         "{algorithm} is for continuous actions only, and the environment's are discrete; choose one of {}",
-        METHODS.iter().filter(|method| method.capabilities.discrete).map(|m| m.name).collect::<Vec<_>>().join(", ")
+        those_that(|method| method.discrete)
     )]
     Discrete {
         /// Name of the algorithm.

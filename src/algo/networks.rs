@@ -20,7 +20,7 @@ use crate::nn::ValueNorm;
 pub(super) const HEADS: i64 = 4;
 
 /// The networks of one algorithm: their actions, their values, and their loss on a shard.
-pub(super) trait Networks: Sized + Send {
+pub trait Networks: Sized + Send {
     /// Name of the algorithm, as on the command line.
     const NAME: &'static str;
     /// The agents whose observations can change an agent's action.
@@ -118,17 +118,17 @@ pub(super) trait Networks: Sized + Send {
 }
 
 /// A loss and its diagnostics, all means over samples.
-pub(super) struct Loss {
+pub struct Loss {
     /// The loss that is differentiated.
-    pub(super) total: Tensor,
+    pub total: Tensor,
     /// Named scalars to report.
-    pub(super) report: Vec<(&'static str, Tensor)>,
+    pub report: Vec<(&'static str, Tensor)>,
 }
 
 impl Loss {
     /// Creates a loss of policy and value, whose sum is `total`. The report holds the value's loss,
     /// the diagnostics `own`, and those of the policy.
-    pub(super) fn new<const K: usize>(
+    pub fn new<const K: usize>(
         total: Tensor,
         value: &Tensor,
         own: [(&'static str, &Tensor); K],
@@ -141,7 +141,8 @@ impl Loss {
     }
 
     /// Adds the loss of a world decoder with a weight, where there is one.
-    pub(super) fn with_world(mut self, weight: f64, loss: Option<Tensor>) -> Self {
+    #[must_use]
+    pub fn with_world(mut self, weight: f64, loss: Option<Tensor>) -> Self {
         if let Some(loss) = loss {
             self.report.push(("loss/world", loss.detach()));
             self.total += weight * loss;

@@ -8,26 +8,26 @@ use crate::rng::{Rng, Seed};
 
 /// The names of a parameter group, and the coefficients of its optimiser.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct ParameterGroup {
+pub struct ParameterGroup {
     /// Name in checkpoints; the state of the group's optimiser is stored under `<name>_adam`.
-    pub(super) name: &'static str,
+    pub name: &'static str,
     /// Name of the group's gradient in messages.
-    pub(super) gradient: &'static str,
+    pub gradient: &'static str,
     /// Name of the gradient norm in reports.
-    pub(super) norm: &'static str,
+    pub norm: &'static str,
     /// Adam's coefficients.
-    pub(super) adam: AdamConfig,
+    pub adam: AdamConfig,
 }
 
 /// The group of the policy and of everything that is trained together with it.
-pub(super) const ACTOR: ParameterGroup = ParameterGroup {
+pub const ACTOR: ParameterGroup = ParameterGroup {
     name: "actor",
     gradient: "the policy's gradient",
     norm: "ppo/grad_norm_actor",
     adam: AdamConfig::MAPPO,
 };
 /// The group of a value function that is trained separately.
-pub(super) const CRITIC: ParameterGroup = ParameterGroup {
+pub const CRITIC: ParameterGroup = ParameterGroup {
     name: "critic",
     gradient: "the value's gradient",
     norm: "ppo/grad_norm_critic",
@@ -36,7 +36,7 @@ pub(super) const CRITIC: ParameterGroup = ParameterGroup {
 
 /// A builder of parameters, which networks use to create theirs. A group is created at its first
 /// request; the first one must be [`ACTOR`].
-pub(super) struct ParameterBuilder {
+pub struct ParameterBuilder {
     device: Device,
     seed: Seed,
     sets: Vec<(ParameterGroup, Params, Rng)>,
@@ -50,12 +50,12 @@ impl ParameterBuilder {
     }
 
     /// Returns the device of the parameters.
-    pub(super) fn device(&self) -> Device {
+    pub fn device(&self) -> Device {
         self.device
     }
 
     /// Returns the root path of a group.
-    pub(super) fn of(&mut self, set: ParameterGroup) -> Path<'_> {
+    pub fn of(&mut self, set: ParameterGroup) -> Path<'_> {
         let at = self.sets.iter().position(|(own, ..)| *own == set).unwrap_or_else(|| {
             self.sets.push((set, Params::new(self.device), self.seed.child(set.name).rng()));
             self.sets.len() - 1

@@ -14,7 +14,7 @@ use crate::nn::{gaussian_entropy, gaussian_log_prob};
 
 /// The head of a policy.
 #[derive(Debug)]
-pub(super) enum PolicyHead {
+pub enum PolicyHead {
     /// Of continuous actions.
     Gaussian(GaussianHead),
     /// Of discrete actions.
@@ -23,7 +23,7 @@ pub(super) enum PolicyHead {
 
 impl PolicyHead {
     /// Creates the head of a policy that reads `inputs` features, as the actor's `head`.
-    pub(super) fn of_actor(
+    pub fn of_actor(
         builder: &mut ParameterBuilder,
         inputs: i64,
         spec: &EnvSpec,
@@ -49,7 +49,8 @@ impl PolicyHead {
     }
 
     /// Returns the head with a tanh on the means of continuous actions.
-    pub(super) fn bounded(self) -> Self {
+    #[must_use]
+    pub fn bounded(self) -> Self {
         match self {
             Self::Gaussian(head) => Self::Gaussian(head.bounded()),
             other @ Self::Categorical(_) => other,
@@ -59,12 +60,7 @@ impl PolicyHead {
     /// Returns actions `[E, N, A]` and the log-probabilities of their dimensions, `[E, N, A]`, from
     /// what the policy reads, `[E, N, W]`. `available [E, N, K]` is 1 where a choice is open; empty
     /// where all are.
-    pub(super) fn sample(
-        &self,
-        x: &Tensor,
-        available: &Tensor,
-        mode: &ActMode<'_>,
-    ) -> (Tensor, Tensor) {
+    pub fn sample(&self, x: &Tensor, available: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
         match self {
             Self::Gaussian(head) => head.sample(x, mode),
             Self::Categorical(head) => head.sample(x, available, mode),
@@ -73,7 +69,7 @@ impl PolicyHead {
 
     /// Returns actions `[.., A]` as networks read them: as they are, or with 1 in the place of the
     /// choice, `[.., K]`.
-    pub(super) fn encoded(&self, action: &Tensor) -> Tensor {
+    pub fn encoded(&self, action: &Tensor) -> Tensor {
         match self {
             Self::Gaussian(_) => action.shallow_clone(),
             Self::Categorical(head) => head.one_hot(action),
@@ -98,7 +94,7 @@ impl PolicyHead {
 
 /// The probability whose ratio is clipped.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Ratio {
+pub enum Ratio {
     /// The probability of the whole action.
     Joint,
     /// The probability of each dimension of the action (MAT, CommFormer).
@@ -106,8 +102,9 @@ pub(super) enum Ratio {
 }
 
 /// Loss and diagnostics of the policy on the active samples of a shard.
-pub(super) struct PolicyTerms {
-    pub(super) loss: Tensor,
+pub struct PolicyTerms {
+    /// The loss of the policy, with the entropy bonus and the penalty on means out of bounds.
+    pub loss: Tensor,
     policy: Tensor,
     entropy: Tensor,
     /// Distance of the policy from the policy that acted, as the mean of `(ρ - 1) - ln ρ`.
@@ -116,7 +113,8 @@ pub(super) struct PolicyTerms {
 }
 
 impl PolicyTerms {
-    pub(super) fn new(
+    /// Computes the terms from what the head reads of each active sample, `input [B, W]`.
+    pub fn new(
         batch: &Batch,
         shard: &Shard,
         head: &PolicyHead,

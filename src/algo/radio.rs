@@ -22,7 +22,7 @@ const FALSE_MESSAGES: usize = 4096;
 
 /// A channel that changes or delays the messages of a training.
 #[derive(Debug)]
-pub(super) struct Radio {
+pub struct Radio {
     channel: Channel,
     /// Standard normal contents of the false messages, `[FALSE_MESSAGES, H]`; without rows where no
     /// message is falsified.

@@ -109,8 +109,9 @@ impl Values {
                 )));
             }
         };
-        if !algo::NAMES.contains(&config.algorithm.as_str()) {
-            return Err(bad(unknown("algorithm", &config.algorithm.into(), &algo::NAMES)));
+        let names = algo::names();
+        if !names.contains(&config.algorithm.as_str()) {
+            return Err(bad(unknown("algorithm", &config.algorithm.into(), &names)));
         }
         Ok(())
     }

@@ -2,11 +2,13 @@
 
 use super::environment::Environment;
 use super::junction::{JunctionSize, TrafficJunction};
+use super::quadruped::{GateSurrogate, SheepSurrogate};
+use super::robotarium::{Navigation, Transport};
 
-/// Probability that a car comes at an entry in a step (MAGIC's `train_tj_medium.sh` and
-/// `train_tj_easy.sh`; IC3Net raises it during training).
-const MEDIUM: [f64; 2] = [0.2, 0.2];
-const EASY: [f64; 2] = [0.3, 0.3];
+/// Range of the probability that a car comes at an entry in a step. Evaluations have its upper end
+/// (MAGIC's `train_tj_medium.sh` and `train_tj_easy.sh`).
+const MEDIUM: [f64; 2] = [0.02, 0.2];
+const EASY: [f64; 2] = [0.1, 0.3];
 
 /// A built-in environment.
 #[derive(Debug, Clone, Copy)]
@@ -23,7 +25,7 @@ impl PartialEq for BuiltIn {
 }
 
 /// All built-in environments.
-const ALL: [BuiltIn; 2] = [
+const ALL: [BuiltIn; 6] = [
     BuiltIn {
         name: "traffic_junction",
         make: || Box::new(TrafficJunction::environment(JunctionSize::Medium, MEDIUM)),
@@ -32,6 +34,10 @@ const ALL: [BuiltIn; 2] = [
         name: "traffic_junction_easy",
         make: || Box::new(TrafficJunction::environment(JunctionSize::Easy, EASY)),
     },
+    BuiltIn { name: "navigation", make: || Box::new(Navigation::environment()) },
+    BuiltIn { name: "material_transport", make: || Box::new(Transport::environment()) },
+    BuiltIn { name: "gate_surrogate", make: || Box::new(GateSurrogate::environment()) },
+    BuiltIn { name: "sheep_surrogate", make: || Box::new(SheepSurrogate::environment()) },
 ];
 
 impl BuiltIn {
@@ -45,6 +51,11 @@ impl BuiltIn {
         }
         names
     };
+
+    /// Returns all of them.
+    pub fn all() -> impl Iterator<Item = Self> {
+        ALL.into_iter()
+    }
 
     /// Returns the environment with this name.
     pub fn named(name: &str) -> Option<Self> {

@@ -22,9 +22,12 @@ pub struct Stream {
     /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …, and then
     /// idles.
     pub episodes: Range<u64>,
+    /// Whether the episodes are those of a training. Those of evaluations and validations may be
+    /// drawn from another distribution.
+    pub training: bool,
     /// Chance that a world repeats one of its failed episodes, if it has any, instead of playing
     /// the next episode of the stream.
-    pub replay: f64,
+    pub repeat_failed: f64,
     /// Whether other worlds of the environment go on while these are played.
     pub beside: bool,
 }

@@ -9,9 +9,10 @@
 //!
 //! Differences on purpose:
 //!
-//! - A car observes its entry and its progress instead of the number of its cell, and nothing of
-//!   its surroundings (IC3Net's vision 0; MAGIC's script has 1).
-//! - Cars come equally often in all of the training (IC3Net: ever more often).
+//! - A car observes its own cell and route, and nothing of its surroundings (IC3Net's vision 0;
+//!   MAGIC's script has 1).
+//! - In each episode of a training, cars come with another probability, from a range whose upper end
+//!   is that of evaluations (IC3Net: ever more often; MAGIC: always as in evaluations).
 //! - A slot becomes free one step after its car has left.
 //! - The privileged state also has the car's age and the time that is left, on which its rewards
 //!   depend.
@@ -23,7 +24,7 @@ use rand::RngExt as _;
 use super::frame::Frame;
 use super::multi_agent::{MultiAgentEnv, Simple};
 use super::picture::{Backdrop, Figure, FigureStatus, Lane, Picture};
-use super::spec::{ActionSpace, EnvSpec, Features};
+use super::spec::{ActionSpace, Better, EnvSpec, Features, OwnMetric};
 use crate::rng::{self, Rng, Seed};
 
 /// Reward of a car in a collision, and of each step that a car has been on the road.
@@ -115,11 +116,14 @@ struct Car {
 /// A world of the traffic junction.
 pub struct TrafficJunction {
     size: JunctionSize,
-    /// Probability that a car comes at an entry, drawn for each episode from this range.
+    /// Range of the probability that a car comes at an entry in a step: training draws from it for
+    /// each episode, evaluations have its upper end.
     arrivals: [f64; 2],
     spec: EnvSpec,
     /// Cells by entry and route.
     routes: Vec<Vec<Vec<Cell>>>,
+    /// All cells of the roads, in order.
+    roads: Vec<Cell>,
     cars: Vec<Option<Car>>,
     arrival: f64,
     rng: Rng,
@@ -129,16 +133,19 @@ pub struct TrafficJunction {
 }
 
 impl TrafficJunction {
-    /// Creates a world in which the probability that a car comes at an entry in a step is drawn for
-    /// each episode from the range `arrivals`.
+    /// Creates a world. `arrivals`: range of the probability that a car comes at an entry in a step,
+    /// of which evaluations have the upper end.
     pub fn new(size: JunctionSize, arrivals: [f64; 2]) -> Self {
         let routes = size.routes();
         let flag = |name| (name, "1", 0.0, 1.0);
-        let mut own = vec![flag("present"), flag("stayed"), flag("progress")];
-        own.extend(["entry_0", "entry_1", "entry_2", "entry_3"].map(flag));
+        let mut roads: Vec<Cell> = routes.iter().flatten().flatten().copied().collect();
+        roads.sort_unstable();
+        roads.dedup();
+        let mut own = vec![flag("present"), flag("stayed")];
         own.extend(["straight", "right", "left"].map(flag));
         let mut observation = Features::default();
         observation.push("own", 1, &own);
+        observation.push("cell", roads.len(), &[flag("here")]);
         let mut state = observation.clone();
         state.push("time", 1, &[flag("age"), flag("time_left")]);
         let cells = |name| (name, "14 cells", -1.0, 1.0);
@@ -150,12 +157,17 @@ impl TrafficJunction {
             actions: ActionSpace::Discrete(vec!["move", "stay"]),
             observation,
             state,
+            metrics: vec![
+                OwnMetric::new("collisions", Better::Lower),
+                OwnMetric::new("cars", Better::Neither),
+            ],
         };
         Self {
             size,
             arrivals,
             spec,
             routes,
+            roads,
             cars: vec![None; size.cars()],
             arrival: 0.0,
             rng: Seed::new(0).rng(),
@@ -193,6 +205,15 @@ impl TrafficJunction {
 
     fn cell(&self, car: &Car) -> Cell {
         self.routes[car.entry][car.route][car.at]
+    }
+
+    /// Begins an episode.
+    fn begin(&mut self, frame: &mut Frame) {
+        self.cars.fill(None);
+        (self.step, self.collisions, self.came) = (0, 0, 0);
+        self.arrive(frame);
+        self.collide();
+        self.show(frame);
     }
 
     /// Lets new cars come.
@@ -246,13 +267,13 @@ impl TrafficJunction {
 
     /// Writes the privileged state of a car, which begins with its observation.
     fn describe(&self, slot: usize, car: &Car, all: &mut [f32]) {
-        let length = self.routes[car.entry][car.route].len();
-        all[0] = 1.0;
-        all[1] = f32::from(u8::from(car.stayed));
-        all[2] = car.at as f32 / length as f32;
-        all[3 + car.entry] = 1.0;
-        all[7 + car.route] = 1.0;
-        let [row, column] = self.cell(car);
+        let cell = self.cell(car);
+        let [row, column] = cell;
+        (all[0], all[1]) = (1.0, f32::from(u8::from(car.stayed)));
+        all[2 + car.route] = 1.0;
+        let here = self.roads.binary_search(&cell).expect("routes are on roads");
+        all[5 + here] = 1.0;
+        let all = &mut all[self.spec.observation.len()..];
         let others = self.cars.iter().enumerate().filter(|(j, _)| *j != slot);
         let mut others: Vec<(Cell, usize)> = others
             .filter_map(|(_, other)| Some((self.cell(other.as_ref()?), other.as_ref()?.route)))
@@ -262,8 +283,8 @@ impl TrafficJunction {
             (rows.abs() + columns.abs(), *rows, *columns, *route)
         });
         let steps = self.size.steps() as f32;
-        (all[10], all[11]) = (car.age as f32 / steps, 1.0 - self.step as f32 / steps);
-        for (([rows, columns], route), out) in others.into_iter().zip(all[12..].chunks_exact_mut(6))
+        (all[0], all[1]) = (car.age as f32 / steps, 1.0 - self.step as f32 / steps);
+        for (([rows, columns], route), out) in others.into_iter().zip(all[2..].chunks_exact_mut(6))
         {
             out[..3].copy_from_slice(&[1.0, rows as f32 / FAR, columns as f32 / FAR]);
             out[3 + route] = 1.0;
@@ -283,13 +304,16 @@ impl MultiAgentEnv for TrafficJunction {
 
     fn reset(&mut self, seed: Seed, frame: &mut Frame) {
         self.rng = seed.rng();
+        self.arrival = self.arrivals[1];
+        self.begin(frame);
+    }
+
+    /// Begins an episode in which cars come as often as a draw of the seed says.
+    fn reset_for_training(&mut self, seed: Seed, frame: &mut Frame) {
+        self.rng = seed.rng();
         let [least, most] = self.arrivals;
         self.arrival = least + (most - least) * self.rng.random::<f64>();
-        self.cars.fill(None);
-        (self.step, self.collisions, self.came) = (0, 0, 0);
-        self.arrive(frame);
-        self.collide();
-        self.show(frame);
+        self.begin(frame);
     }
 
     fn step(&mut self, actions: &[f32], frame: &mut Frame) {
@@ -340,8 +364,8 @@ impl MultiAgentEnv for TrafficJunction {
         f64::from(u8::from(self.collisions == 0))
     }
 
-    fn metrics(&self) -> Vec<(&'static str, f64)> {
-        vec![("collisions", f64::from(self.collisions)), ("cars", f64::from(self.came))]
+    fn metrics(&self) -> Vec<f64> {
+        vec![f64::from(self.collisions), f64::from(self.came)]
     }
 
     fn picture(&self) -> Option<Picture> {

@@ -4,6 +4,8 @@
 //! - [`EnvSpec`]: what a learner must know about an environment.
 //! - [`Environment`] and [`Worlds`]: what learners and evaluations use. They know no other.
 //! - [`MultiAgentEnv`]: a world of your own, of which [`Simple`] makes an environment.
+//! - [`BuiltIn`]: environments without SUMO that come along, by name: the traffic junction, and the
+//!   tasks of `robotarium` and `quadruped`.
 //! - `driving`: vehicles in SUMO. A [`Task`] is a scenario prepared for a number of vehicles; a
 //!   [`World`] is the traffic of one episode, which needs no simulator: it emits commands and takes
 //!   in snapshots; a [`VecEnv`] is many worlds in lock-step on the simulators that host them.
@@ -20,7 +22,9 @@ mod junction;
 mod multi_agent;
 mod order;
 mod picture;
+mod quadruped;
 mod record;
+mod robotarium;
 mod spec;
 
 pub use built_in::BuiltIn;
@@ -38,6 +42,10 @@ pub use frame::Frame;
 pub use junction::{JunctionSize, TrafficJunction};
 pub use multi_agent::{MultiAgentEnv, Simple};
 pub use order::Position;
-pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace};
+pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace, Zone};
+pub use quadruped::{GateSurrogate, SheepSurrogate};
 pub use record::EpisodeRecord;
-pub use spec::{ActionDimension, ActionSpace, Described, EnvSpec, Feature, Features, Group};
+pub use robotarium::{Navigation, Transport};
+pub use spec::{
+    ActionDimension, ActionSpace, Better, Described, EnvSpec, Feature, Features, Group, OwnMetric,
+};

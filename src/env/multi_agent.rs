@@ -63,6 +63,12 @@ pub trait MultiAgentEnv: Send {
     /// all choices are open at first (`available`).
     fn reset(&mut self, seed: Seed, frame: &mut Frame);
 
+    /// Begins an episode of a training, which may be drawn from another distribution than those of
+    /// evaluations, such as one with easier episodes among them; it is the same by default.
+    fn reset_for_training(&mut self, seed: Seed, frame: &mut Frame) {
+        self.reset(seed, frame);
+    }
+
     /// Takes a step with the actions `[N, A]`, of which only those of active agents count; each is
     /// in −1..1, or the number of a choice. The frame comes as it was left, but without rewards and
     /// ends: write rewards, what is observed now, and who has come to an end ([`Frame::end`],
@@ -81,8 +87,8 @@ pub trait MultiAgentEnv: Send {
     /// `train.stop_success`), and episodes below 1 are repeated (`train.repeat_failed`).
     fn success(&self) -> f64;
 
-    /// Returns other metrics of the episode, by name, at its end.
-    fn metrics(&self) -> Vec<(&'static str, f64)> {
+    /// Returns the values of [`EnvSpec::metrics`], in their order, at the end of an episode.
+    fn metrics(&self) -> Vec<f64> {
         Vec::new()
     }
 
@@ -141,10 +147,11 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Simple<F> {
 
     fn idle(&self, stream: &Stream) -> LockStep<E> {
         let world = |e: u64| {
-            let Stream { seed, episodes, replay, worlds, .. } = stream;
+            let Stream { seed, episodes, repeat_failed, worlds, .. } = stream;
             let first = episodes.start + e;
             let episode = Episode::new(*seed, first, *worlds as u64, episodes.end);
-            World::new((self.make)(), episode.with_replay(*replay))
+            let episode = episode.with_replay(*repeat_failed);
+            World { training: stream.training, ..World::new((self.make)(), episode) }
         };
         LockStep { worlds: (0..stream.worlds as u64).map(world).collect() }
     }
@@ -248,6 +255,8 @@ impl<E: MultiAgentEnv> Worlds for LockStep<E> {
 /// One world, and its place in its episodes.
 struct World<E> {
     env: E,
+    /// Whether the episodes are those of a training.
+    training: bool,
     episode: Episode,
     frame: Frame,
     /// Sums of the agents' rewards in this episode, and their mean in each step.
@@ -264,6 +273,7 @@ impl<E: MultiAgentEnv> World<E> {
         let rewards = vec![0.0; env.spec().agents];
         Self {
             env,
+            training: false,
             episode,
             frame,
             rewards,
@@ -298,7 +308,12 @@ impl<E: MultiAgentEnv> World<E> {
             return Ok(());
         }
         self.frame.clear();
-        self.env.reset(self.episode.seed(), &mut self.frame);
+        let seed = self.episode.seed();
+        if self.training {
+            self.env.reset_for_training(seed, &mut self.frame);
+        } else {
+            self.env.reset(seed, &mut self.frame);
+        }
         self.frame.start.fill(1.0);
         self.episode.phase = Phase::Running;
         self.rewards.fill(0.0);
@@ -355,14 +370,22 @@ impl<E: MultiAgentEnv> World<E> {
             *total += f64::from(*reward);
         }
         if self.frame.active.iter().all(|active| *active == 0.0) && !self.env.goes_on() {
-            self.end();
+            self.end()?;
         }
         Ok(())
     }
 
-    fn end(&mut self) {
+    fn end(&mut self) -> Result<(), Error> {
         let success = self.env.success();
-        let own = self.env.metrics().into_iter().map(|(name, value)| (name.to_owned(), value));
+        let (metrics, values) = (&self.env.spec().metrics, self.env.metrics());
+        if metrics.len() != values.len() {
+            return Err(self.wrong_in_all(&format!(
+                "`metrics` returns {} values, but the spec has {} metrics",
+                values.len(),
+                metrics.len()
+            )));
+        }
+        let own = metrics.iter().zip(values).map(|(metric, value)| (metric.name.to_owned(), value));
         self.finished = Some(EpisodeRecord {
             episode: self.episode.index,
             episode_length: self.episode.step,
@@ -375,6 +398,7 @@ impl<E: MultiAgentEnv> World<E> {
             step_rewards: std::mem::take(&mut self.step_rewards),
         });
         self.episode.end(success >= 1.0);
+        Ok(())
     }
 
     /// Checks that the frame has the sizes of the spec and contains numbers, since one that does

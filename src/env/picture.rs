@@ -53,6 +53,8 @@ pub struct Backdrop {
     pub range: f64,
     /// Lanes, or other strips of ground.
     pub lanes: Vec<Lane>,
+    /// Areas of the ground; later ones are drawn over earlier ones.
+    pub zones: Vec<Zone>,
     /// Polygons that block sight or radio, by their corners \[m\].
     pub walls: Vec<Vec<[f64; 2]>>,
     /// Signals at the ends of lanes.
@@ -73,6 +75,23 @@ pub struct Lane {
     pub crossing: bool,
     /// Centre line \[m\].
     pub shape: Vec<[f64; 2]>,
+}
+
+/// An area of the ground.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Zone {
+    /// What the area is for; areas of one name have one colour.
+    pub name: String,
+    /// Corners \[m\].
+    pub shape: Vec<[f64; 2]>,
+}
+
+impl Zone {
+    /// Returns the rectangle between two opposite corners \[m\].
+    pub fn rectangle(name: &str, [left, bottom]: [f64; 2], [right, top]: [f64; 2]) -> Self {
+        let shape = vec![[left, bottom], [right, bottom], [right, top], [left, top]];
+        Self { name: name.to_owned(), shape }
+    }
 }
 
 /// Where a signal stands.

@@ -27,7 +27,7 @@ pub struct EpisodeRecord {
     pub own: BTreeMap<String, f64>,
     /// Whether the simulation broke off in the episode; such an episode does not count.
     pub interrupted: bool,
-    /// Whether the episode repeats one that failed before ([`super::Stream::replay`]).
+    /// Whether the episode repeats one that failed before ([`super::Stream::repeat_failed`]).
     #[serde(skip)]
     pub replayed: bool,
     /// Mean reward over agents in each step.

@@ -1,5 +1,7 @@
 //! What a learner must know about an environment: its sizes and the names of its features.
 
+use serde::{Deserialize, Serialize};
+
 /// What a learner must know about an environment. Only [`EnvSpec::agents`] depends on the number of
 /// vehicles.
 #[derive(Debug, Clone, PartialEq)]
@@ -12,6 +14,44 @@ pub struct EnvSpec {
     pub observation: Features,
     /// The S features of the privileged state as seen from one agent.
     pub state: Features,
+    /// Metrics of an episode that the environment defines by itself.
+    pub metrics: Vec<OwnMetric>,
+}
+
+/// A metric of an episode that an environment defines by itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct OwnMetric {
+    /// Name in tables, reports and JSON outputs.
+    pub name: &'static str,
+    /// Which values are better.
+    pub better: Better,
+    /// Whether the values are shares from 0 to 1, which people see in percent.
+    pub is_rate: bool,
+}
+
+impl OwnMetric {
+    /// Returns a metric whose values are numbers of any kind.
+    pub const fn new(name: &'static str, better: Better) -> Self {
+        Self { name, better, is_rate: false }
+    }
+
+    /// Returns a metric whose values are shares from 0 to 1.
+    pub const fn rate(name: &'static str, better: Better) -> Self {
+        Self { name, better, is_rate: true }
+    }
+}
+
+/// Which values of a metric are better.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Better {
+    /// Higher values.
+    Higher,
+    /// Lower values.
+    Lower,
+    /// Neither: the metric describes the episodes.
+    #[default]
+    Neither,
 }
 
 /// What an agent can do.

@@ -1,6 +1,7 @@
 //! The description of a metric in the registry.
 
 use super::{KmPerCrash, Metrics};
+pub use crate::env::Better;
 use crate::env::MAX_TIME_APART;
 use crate::stats::Estimate;
 
@@ -23,7 +24,16 @@ pub struct Metric {
     pub shown: Shown,
     /// Meaning of the metric, and how to read it.
     pub explanation: &'static str,
-    pub(super) field: fn(&Metrics) -> Option<Estimate>,
+    pub(super) source: Source,
+}
+
+/// Where the estimate of a metric is.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Source {
+    /// In a field of [`Metrics`] or of its parts.
+    Field(fn(&Metrics) -> Option<Estimate>),
+    /// Among the metrics that the environment defines by itself.
+    Own,
 }
 
 /// How a number is shown.
@@ -63,17 +73,6 @@ impl Scale {
     }
 }
 
-/// Which values of a metric are better.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Better {
-    /// Higher values.
-    Higher,
-    /// Lower values.
-    Lower,
-    /// Neither: the metric describes the episodes.
-    Neither,
-}
-
 /// The outputs that show a metric. Each output shows what the ones above it show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Shown {
@@ -99,7 +98,11 @@ impl Metric {
     /// Returns mean and interval as the JSON output contains them; `None` if the results do not
     /// contain the metric.
     pub fn unscaled(&self, metrics: &Metrics) -> Option<Estimate> {
-        (self.field)(metrics).filter(|e| !(e.mean.is_nan() && e.low.is_nan()))
+        let found = match self.source {
+            Source::Field(field) => field(metrics),
+            Source::Own => metrics.own.get(self.id).map(|own| own.estimate),
+        };
+        found.filter(|e| !(e.mean.is_nan() && e.low.is_nan()))
     }
 
     /// Returns the heading in tables, with the unit.

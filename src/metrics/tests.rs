@@ -34,7 +34,7 @@ fn intervals_contain_only_possible_numbers() {
         .map(|others| DrivingRecord { others: Some(others), ..DrivingRecord::default() })
         .map(|driving| EpisodeRecord { driving: Some(driving), ..EpisodeRecord::default() })
         .into();
-    let metrics = Metrics::of(&records, &[-1.0, 2.0], &[], &[]).unwrap();
+    let metrics = Metrics::of(&[], &records, &[-1.0, 2.0], &[], &[]).unwrap();
     let others = metrics.driving().others.as_ref().unwrap();
     let (delay, ttc) = (others.delay.unwrap(), others.ttc.unwrap());
     assert!(delay.low == 0.0 && delay.high > 0.5, "{delay:?}");

@@ -24,7 +24,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::record;
 
-pub use crate::env::Lane;
+pub use crate::env::{Lane, Zone};
 pub use recorder::{RecordedDiagnostics, Recorder, Title};
 
 /// The player's HTML; the recording replaces [`HOLE`].
@@ -62,6 +62,9 @@ pub struct Recording {
     pub vehicle: Size,
     /// The lanes of the net.
     pub lanes: Vec<Lane>,
+    /// Areas of the ground; later ones lie over earlier ones.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub zones: Vec<Zone>,
     /// Polygons that block sight or radio, by their corners \[m\]; empty in tasks without them.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub walls: Vec<Vec<[f64; 2]>>,
@@ -303,6 +306,7 @@ mod tests {
                 crossing: false,
                 shape: vec![[0.0, 0.0], [9.0, 0.0]],
             }],
+            zones: Vec::new(),
             walls: vec![vec![[1.0, 3.0], [5.0, 3.0], [5.0, 6.0]]],
             columns: BTreeMap::from([
                 ("x".to_owned(), column([1.0, 400.0, 2.0, f64::NAN])),

@@ -290,11 +290,12 @@ impl Recorder {
             comm_range: backdrop.range.is_finite().then_some(backdrop.range),
             communicates: self.rows.graph,
             vehicle: Size { length, width },
-            lanes: if backdrop.lanes.is_empty() {
+            lanes: if backdrop.lanes.is_empty() && backdrop.zones.is_empty() {
                 vec![self.rows.ground()]
             } else {
                 backdrop.lanes.clone()
             },
+            zones: backdrop.zones.clone(),
             walls: backdrop.walls.clone(),
             columns,
             status: STANDARD.encode(&self.rows.status),

@@ -6,8 +6,17 @@ use super::{Recording, Status};
 use crate::markup::escape as escaped;
 use crate::plot::path;
 
-/// Margin around the net \[m\].
+/// Margin around the net \[m\], where vehicles are as long as cars.
 const MARGIN: f64 = 4.0;
+/// Length of a car \[m\]: lines and letters shrink where bodies are smaller.
+const CAR: f64 = 4.5;
+/// Fills of areas: of the ground, and of those on it by their names.
+const ZONES: [&str; 4] = [
+    "fill=\"#d2d6da\"",
+    "fill=\"#009e73\" fill-opacity=\".3\"",
+    "fill=\"#cc79a7\" fill-opacity=\".35\"",
+    "fill=\"#e69f00\" fill-opacity=\".3\"",
+];
 /// Colours of the palette of Okabe and Ito.
 const DRIVING: &str = "#0072b2";
 const ARRIVED: &str = "#009e73";
@@ -23,13 +32,16 @@ impl Recording {
     /// are fewer). One metre is one SVG unit.
     pub fn still(&self, step: usize) -> String {
         let step = step.min(self.steps - 1);
-        let points = || self.lanes.iter().flat_map(|lane| &lane.shape);
+        let unit = (self.vehicle.length / CAR).min(1.0);
+        let zones = || self.zones.iter().flat_map(|zone| &zone.shape);
+        let points = || self.lanes.iter().flat_map(|lane| &lane.shape).chain(zones());
         let end = |axis: usize, sign: f64| {
             points().map(|p| sign * p[axis]).fold(f64::NEG_INFINITY, f64::max) * sign
         };
         let (left, bottom, right, top) = (end(0, -1.0), end(1, -1.0), end(0, 1.0), end(1, 1.0));
+        let margin = unit * MARGIN;
         let (left, bottom, right, top) =
-            (left - MARGIN, bottom - MARGIN, right + MARGIN, top + MARGIN);
+            (left - margin, bottom - margin, right + margin, top + margin);
         let mut svg = String::new();
         // SVG's y axis points down.
         let _ = writeln!(
@@ -41,6 +53,16 @@ impl Recording {
             top - bottom,
             escaped(&format!("{}, {}", self.scenario, self.policy)),
         );
+        let mut names: Vec<&str> = Vec::new();
+        for zone in &self.zones {
+            let known = names.iter().position(|name| *name == zone.name);
+            let number = known.unwrap_or_else(|| {
+                names.push(&zone.name);
+                names.len() - 1
+            });
+            let fill = ZONES[number % ZONES.len()];
+            let _ = writeln!(svg, "<path d=\"{}Z\" {fill}/>", path(&zone.shape));
+        }
         for internal in [true, false] {
             for lane in self.lanes.iter().filter(|lane| lane.internal == internal && !lane.crossing)
             {
@@ -80,9 +102,14 @@ impl Recording {
         let vehicles = self.vehicles(step);
         // As in the player: lines of messages are solid, those of mere range dashed and grey.
         let link = if self.communicates {
-            "stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\".25\""
+            format!("stroke=\"#8a6d00\" stroke-opacity=\".35\" stroke-width=\"{:.3}\"", 0.25 * unit)
         } else {
-            "stroke=\"#59616b\" stroke-opacity=\".35\" stroke-width=\".15\" stroke-dasharray=\".6 .8\""
+            format!(
+                "stroke=\"#59616b\" stroke-opacity=\".35\" stroke-width=\"{:.3}\" stroke-dasharray=\"{:.3} {:.3}\"",
+                0.15 * unit,
+                0.6 * unit,
+                0.8 * unit
+            )
         };
         for (i, j) in self.links(step) {
             let [a, b] = [i, j].map(|k| vehicles[k].1);
@@ -93,16 +120,17 @@ impl Recording {
             );
         }
         let (people, others): (Vec<&[f64; 6]>, Vec<&[f64; 6]>) =
-            self.others.get(step).into_iter().flatten().partition(|other| other[4] < PERSON);
+            self.others.get(step).into_iter().flatten().partition(|other| other[4] < PERSON * unit);
         for [x, y, heading, l, w, wreck] in others {
             let _ = writeln!(
                 svg,
                 "<g transform=\"translate({x:.2} {y:.2}) rotate({:.1})\"><rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" \
-                 height=\"{w:.2}\" rx=\".4\" fill=\"{OTHER}\"/>{}</g>",
+                 height=\"{w:.2}\" rx=\"{:.2}\" fill=\"{OTHER}\"/>{}</g>",
                 heading.to_degrees(),
                 -l / 2.0,
                 -w / 2.0,
-                if *wreck > 0.0 { cross(*l, *w) } else { String::new() },
+                0.4 * unit,
+                if *wreck > 0.0 { cross(*l, *w, unit) } else { String::new() },
             );
         }
         for [x, y, _, _, _, wreck] in people {
@@ -124,18 +152,21 @@ impl Recording {
             let _ = writeln!(
                 svg,
                 "<g transform=\"translate({x:.2} {y:.2})\"><g transform=\"rotate({:.1})\">\
-                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" height=\"{w:.2}\" rx=\".4\" fill=\"{color}\"/>\
+                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" height=\"{w:.2}\" rx=\"{:.2}\" fill=\"{color}\"/>\
                  <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"#fff\" fill-opacity=\".8\"/>{}</g>\
-                 <text transform=\"scale(1 -1)\" y=\"-1.6\" font-family=\"sans-serif\" font-size=\"2.2\" \
+                 <text transform=\"scale(1 -1)\" y=\"{:.2}\" font-family=\"sans-serif\" font-size=\"{:.2}\" \
                  text-anchor=\"middle\" fill=\"#1b1f24\">{number}</text></g>",
                 heading.to_degrees(),
                 -l / 2.0,
                 -w / 2.0,
+                0.4 * unit,
                 l * 0.15,
                 -w * 0.38,
                 l * 0.13,
                 w * 0.76,
-                if *status == Status::Crashed { cross(l, w) } else { String::new() },
+                if *status == Status::Crashed { cross(l, w, unit) } else { String::new() },
+                -1.6 * unit,
+                2.2 * unit,
             );
         }
         svg.push_str("</g>\n</svg>\n");
@@ -143,10 +174,11 @@ impl Recording {
     }
 }
 
-fn cross(length: f64, width: f64) -> String {
+fn cross(length: f64, width: f64, unit: f64) -> String {
     let (l, w) = (length / 2.0, width / 2.0);
     format!(
-        "<path d=\"M-{l:.2} -{w:.2}L{l:.2} {w:.2}M-{l:.2} {w:.2}L{l:.2} -{w:.2}\" stroke=\"#000\" stroke-width=\".25\"/>"
+        "<path d=\"M-{l:.2} -{w:.2}L{l:.2} {w:.2}M-{l:.2} {w:.2}L{l:.2} -{w:.2}\" stroke=\"#000\" stroke-width=\"{:.3}\"/>",
+        0.25 * unit
     )
 }
 

@@ -2,6 +2,8 @@
 
 use std::collections::BTreeMap;
 
+use toml::Value;
+
 use super::{Error, in_words};
 use crate::metrics::{self, EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::Estimate;
@@ -68,8 +70,13 @@ impl Unit {
 impl Block<'_> {
     /// Returns the metrics that an output of this block shows.
     pub(super) fn metrics(&self, output: Shown) -> impl Iterator<Item = &'static Metric> {
+        let rows = || self.series.iter().flat_map(|line| &line.rows);
+        let own = metrics::own(rows().flat_map(Row::finished).map(|found| &found.metrics));
+        let finished = rows().flat_map(Row::finished).next().is_some();
+        let promised = move |metric: &Metric| !finished && metric.shown == Shown::Everywhere;
         metrics::shown(output)
-            .filter(|metric| metric.shown == Shown::Everywhere || self.has(metric))
+            .filter(move |metric| promised(metric) || self.has(metric))
+            .chain(own.into_iter().filter(move |metric| metric.shown <= output))
     }
 
     fn has(&self, metric: &Metric) -> bool {
@@ -252,16 +259,14 @@ pub(super) fn references<'a>(
         .iter()
         .filter(move |r| r.metric == metric.id && r.evaluate.as_deref().or(first) == Some(name))
         .map(move |r| {
-            let place = |x: f64| {
-                block.categories.iter().position(|c| c.parse::<f64>().is_ok_and(|c| c == x))
-            };
+            let place = |x: &Value| block.categories.iter().position(|c| *c == plain(x));
             if r.x.is_empty() && block.categories.len() == 1 {
                 return (r, r.y.iter().take(1).map(|y| (0, y * metric.scale.factor)).collect());
             }
             let points =
                 r.x.iter()
                     .zip(&r.y)
-                    .filter_map(|(x, y)| Some((place(*x)?, y * metric.scale.factor)));
+                    .filter_map(|(x, y)| Some((place(x)?, y * metric.scale.factor)));
             (r, points.collect())
         })
 }

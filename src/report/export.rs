@@ -42,14 +42,11 @@ pub(super) fn marl_eval(block: &Block<'_>) -> Result<Value, Error> {
             for (cell, found) in
                 row.runs.iter().filter_map(|(cell, found)| Some((cell, found.as_ref()?)))
             {
-                let environment = cell
-                    .config
-                    .scenario
-                    .file
-                    .file_stem()
-                    .unwrap_or_default()
-                    .to_string_lossy()
-                    .into_owned();
+                let scenario = cell.config.scenario.file.file_stem().unwrap_or_default();
+                let environment = match cell.config.environment.as_str() {
+                    "" => scenario.to_string_lossy().into_owned(),
+                    built_in => built_in.to_owned(),
+                };
                 let task = match &block.x {
                     Some(x) => format!("{x}={category}"),
                     None => "all".to_owned(),

@@ -46,7 +46,7 @@ pub enum Compared {
 impl Contrast {
     /// Returns the metric.
     pub fn metric(&self) -> Option<&'static Metric> {
-        metrics::all().find(|metric| metric.id == self.metric)
+        metrics::named(&self.metric)
     }
 
     /// Returns the evaluation that is compared.
@@ -77,7 +77,8 @@ impl Contrast {
     pub(super) fn check(&self, evaluations: &[Evaluate]) -> Result<(), String> {
         let at = format!("[[contrast]] `{}`", self.title);
         if self.metric().is_none() {
-            let known: Vec<&str> = metrics::all().map(|metric| metric.id).collect();
+            let all = metrics::all().chain(metrics::built_in());
+            let known: Vec<&str> = all.map(|metric| metric.id).collect();
             return Err(format!("{at}: metric must be one of {}", known.join(", ")));
         }
         if self.of == Compared::Training && (self.evaluate.is_some() || !self.at.is_empty()) {

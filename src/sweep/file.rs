@@ -126,9 +126,21 @@ impl File {
             if !alone && x.len() != y.len() {
                 return Err(format!("[[reference]] `{label}`: x and y differ in length"));
             }
-            let known =
-                evaluate.as_ref().is_none_or(|name| self.evaluate.iter().any(|e| e.name == *name));
-            let reported = || metrics::shown(Shown::InTables).map(|metric| metric.id);
+            let named = |name: &String| self.evaluate.iter().find(|e| e.name == *name);
+            let of = evaluate.as_ref().map_or(self.evaluate.first(), named);
+            let known = of.is_some();
+            let axis = of.and_then(|of| Some((of.x.as_ref()?, of)));
+            if let Some((key, of)) = axis {
+                let all = of.grid.get(key).or_else(|| self.grid.get(key));
+                let all = all.and_then(Value::as_array).cloned().unwrap_or_default();
+                if let Some(other) = x.iter().find(|x| !all.contains(x)) {
+                    return Err(format!(
+                        "[[reference]] `{label}`: x has {other}, which is none of the values of {key} in the grid"
+                    ));
+                }
+            }
+            let all = || metrics::shown(Shown::InTables).chain(metrics::built_in());
+            let reported = || all().map(|metric| metric.id);
             if !known || !reported().any(|id| id == *metric) {
                 return Err(format!(
                     "[[reference]] `{label}`: metric must be one of {}, and evaluate the name of an evaluation",

@@ -163,9 +163,9 @@ pub struct Reference {
     pub beside: String,
     /// Metric, as in the JSON of `iwol evaluate`.
     pub metric: String,
-    /// Values along the horizontal axis; empty if the evaluation has no axis.
+    /// Values along the horizontal axis, as in the grid; empty if the evaluation has no axis.
     #[serde(default)]
-    pub x: Vec<f64>,
+    pub x: Vec<Value>,
     /// The published values at `x`, in the metric's unit (rates from 0 to 1).
     pub y: Vec<f64>,
     /// Name of the evaluation to which the values belong [default: the first].

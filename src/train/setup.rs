@@ -27,7 +27,8 @@ impl Trainer {
             worlds: envs,
             seed: seed.child("episodes"),
             episodes: 0..u64::MAX,
-            replay: config.train.repeat_failed,
+            training: true,
+            repeat_failed: config.train.repeat_failed,
             beside: false,
         };
         let sizes = Sizes {

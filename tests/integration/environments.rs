@@ -7,8 +7,8 @@ use iwol_sumo::algo;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::{
-    ActionDimension, ActionSpace, EnvSpec, Environment, Features, Figure, FigureStatus, Frame,
-    MultiAgentEnv, Picture, Simple, Stream, Worlds,
+    ActionDimension, ActionSpace, Better, EnvSpec, Environment, Features, Figure, FigureStatus,
+    Frame, MultiAgentEnv, OwnMetric, Picture, Simple, Stream, Worlds,
 };
 use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
 use iwol_sumo::metrics::Metrics;
@@ -60,6 +60,7 @@ impl Line {
             actions: vec![ActionDimension::named("speed")].into(),
             observation: features(),
             state: features(),
+            metrics: vec![OwnMetric::new("steps", Better::Lower)],
         };
         Self { spec, agents: [[0.0; 2]; AGENTS], step: 0, arrived: 0, mistake }
     }
@@ -156,8 +157,8 @@ impl MultiAgentEnv for Line {
         self.arrived as f64 / AGENTS as f64
     }
 
-    fn metrics(&self) -> Vec<(&'static str, f64)> {
-        vec![("steps", f64::from(self.step))]
+    fn metrics(&self) -> Vec<f64> {
+        vec![f64::from(self.step)]
     }
 
     fn picture(&self) -> Option<Picture> {
@@ -199,7 +200,7 @@ fn played(environment: &dyn Environment, policy: &Policy<'_>, episodes: u64) -> 
 fn methods_learn_in_an_environment_of_ones_own() {
     let blind = played(&*line(Mistake::None), &Policy::Gaussian, 50);
     assert!(blind.success.mean < 0.9 && blind.driving.is_none(), "{blind:?}");
-    assert!(blind.own["steps"].mean > 5.0, "{:?}", blind.own);
+    assert!(blind.own["steps"].estimate.mean > 5.0, "{:?}", blind.own);
     let mut trainer = Trainer::new(config("mappo", &[]), line(Mistake::None)).expect("a trainer");
     for _ in 0..40 {
         trainer.iterate().expect("an iteration");
@@ -264,8 +265,14 @@ fn runs_go_on_bit_for_bit() {
 #[test]
 fn episodes_do_not_depend_on_the_number_of_worlds() {
     let rewards = |worlds: usize| {
-        let stream =
-            Stream { worlds, seed: Seed::new(1), episodes: 0..8, replay: 0.0, beside: false };
+        let stream = Stream {
+            worlds,
+            seed: Seed::new(1),
+            episodes: 0..8,
+            training: true,
+            repeat_failed: 0.0,
+            beside: false,
+        };
         let environment = line(Mistake::None);
         let mut all: Box<dyn Worlds> = environment.start(&stream).expect("worlds");
         let mut found = Vec::new();
@@ -295,8 +302,14 @@ fn episodes_do_not_depend_on_the_number_of_worlds() {
 /// are marked once.
 #[test]
 fn frames_tell_who_comes_and_who_ends() {
-    let stream =
-        Stream { worlds: 1, seed: Seed::new(5), episodes: 0..1, replay: 0.0, beside: false };
+    let stream = Stream {
+        worlds: 1,
+        seed: Seed::new(5),
+        episodes: 0..1,
+        training: true,
+        repeat_failed: 0.0,
+        beside: false,
+    };
     let environment = line(Mistake::None);
     let mut world = environment.start(&stream).expect("a world");
     let (mut begun, mut ended) = ([0; AGENTS], [0; AGENTS]);
@@ -402,6 +415,7 @@ impl Row {
             actions: ActionSpace::Discrete(vec!["down", "stay", "up"]),
             observation: features(),
             state: features(),
+            metrics: Vec::new(),
         };
         Self { spec, agents: [[0; 2]; AGENTS], step: 0, arrived: 0 }
     }

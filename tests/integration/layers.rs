@@ -58,9 +58,10 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("main", &[]),
 ];
 /// Crates that only some modules may use.
-const CRATES: [(&str, &[&str]); 5] = [
+const CRATES: [(&str, &[&str]); 6] = [
     ("tch", &["nn", "algo", "checkpoint", "evaluate", "train", "cli"]),
     ("rten", &["evaluate"]),
+    ("clarabel", &["env"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),
     ("indicatif", &["cli"]),

@@ -8,6 +8,7 @@ mod support;
 
 mod authoring;
 mod background_traffic;
+mod built_in;
 mod calibration;
 mod command_line;
 mod damaged_files;

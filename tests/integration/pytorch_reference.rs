@@ -305,6 +305,7 @@ fn maddpg() {
         actions: dimensions(1).into(),
         observation: features(4),
         state: features(3),
+        metrics: Vec::new(),
     };
     let mut settings = small();
     (settings.maddpg.updates, settings.ppo.average) = (1, 0.0);
@@ -373,6 +374,7 @@ fn decisions_and_values() {
             actions: dimensions(actions).into(),
             observation: features(4),
             state: features(3),
+            metrics: Vec::new(),
         };
         let mut settings = small();
         (settings.network.hidden, settings.iwol.message) = (16, 8);

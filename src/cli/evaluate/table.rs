@@ -1,6 +1,5 @@
 //! The table of `iwol evaluate`.
 
-use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use iwol_sumo::evaluate::DETERMINED;
@@ -39,15 +38,16 @@ fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
 /// Formats all policies side by side: one metric per line, with mean and 95 % interval per policy.
 pub(super) fn table(rows: &[EvaluationResult]) -> String {
     // Counts of vehicles or pedestrians that are always 0, and the effects on them, are left out.
+    let own = metrics::own(rows.iter().map(|row| &row.metrics));
     let lines: Vec<&Metric> = metrics::all()
+        .chain(own)
         .filter(|metric| {
             rows.iter()
                 .filter_map(|row| metric.estimate(&row.metrics))
                 .any(|estimate| metric.better != Better::Neither || estimate.mean > 0.0)
         })
         .collect();
-    let own: BTreeSet<&String> = rows.iter().flat_map(|row| row.metrics.own.keys()).collect();
-    let headings = lines.iter().map(|metric| metric.heading()).chain(own.iter().copied().cloned());
+    let headings = lines.iter().map(|metric| metric.heading());
     let mut columns: Vec<Vec<String>> =
         vec![std::iter::once(String::new()).chain(headings).collect()];
     for row in rows {
@@ -56,11 +56,7 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
             let estimate = metric.estimate(&row.metrics);
             estimate.map_or_else(|| "–".to_owned(), |estimate| format!("{estimate:.digits$}"))
         });
-        let more = own.iter().map(|name| {
-            let estimate = row.metrics.own.get(*name);
-            estimate.map_or_else(|| "–".to_owned(), |estimate| format!("{estimate:.2}"))
-        });
-        columns.push(std::iter::once(row.policy.clone()).chain(cells).chain(more).collect());
+        columns.push(std::iter::once(row.policy.clone()).chain(cells).collect());
     }
     let width =
         |column: &[String]| column.iter().map(|cell| cell.chars().count()).max().unwrap_or(0);
@@ -82,7 +78,7 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
             first.seed
         );
     }
-    for line in 0..=lines.len() + own.len() {
+    for line in 0..=lines.len() {
         for (i, column) in columns.iter().enumerate() {
             let (cell, width) = (&column[line], width(column));
             let _ = if i == 0 {

@@ -130,6 +130,7 @@ impl Task {
                 actions: actions(&scenario.control).into(),
                 observation: observed,
                 state: known,
+                metrics: Vec::new(),
             },
             observation,
             state,

@@ -63,7 +63,7 @@ impl Traffic {
             driver: self.driver,
             seed: stream.seed,
             episodes: stream.episodes.clone(),
-            replay: stream.replay,
+            replay: stream.repeat_failed,
             hosting: if stream.beside { self.hosting.beside() } else { self.hosting },
         }
     }
@@ -211,6 +211,7 @@ impl Task {
             size: [vehicle.length, vehicle.width],
             range: self.scenario.communication.range,
             lanes: lanes.collect(),
+            zones: Vec::new(),
             walls: self.map.walls.corners().map(<[_]>::to_vec).collect(),
             signals: self.signal_places(&net),
         })

@@ -43,6 +43,7 @@ fn spec(agents: usize) -> EnvSpec {
         actions: vec![ActionDimension::named("throttle")].into(),
         observation: features(4),
         state: features(3),
+        metrics: Vec::new(),
     }
 }
 

@@ -1,0 +1,78 @@
+//! Metrics that environments define by themselves.
+
+use std::collections::BTreeMap;
+use std::sync::Mutex;
+
+use serde::{Deserialize, Serialize};
+
+use super::metric::{Metric, Shown, Source};
+use super::{FINE, Metrics, PERCENT};
+use crate::env::{Better, BuiltIn, EpisodeRecord, OwnMetric};
+use crate::stats::Estimate;
+
+/// A metric of an environment: mean with its 95 % interval over episodes, and which values are
+/// better.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct OwnEstimate {
+    /// Mean and interval.
+    #[serde(flatten)]
+    pub estimate: Estimate,
+    /// Which values are better.
+    #[serde(default)]
+    pub better: Better,
+    /// Whether the values are shares from 0 to 1.
+    #[serde(default)]
+    pub is_rate: bool,
+}
+
+/// Summarises the metrics of an environment over episodes, by name.
+pub(super) fn summary(
+    metrics: &[OwnMetric],
+    records: &[EpisodeRecord],
+) -> BTreeMap<String, OwnEstimate> {
+    let summary = |metric: &OwnMetric| {
+        let values: Vec<f64> =
+            records.iter().filter_map(|record| record.own.get(metric.name)).copied().collect();
+        let OwnMetric { name, better, is_rate } = *metric;
+        let estimate = if is_rate { Estimate::rate(&values)? } else { Estimate::t(&values)? };
+        Some((name.to_owned(), OwnEstimate { estimate, better, is_rate }))
+    };
+    metrics.iter().filter_map(summary).collect()
+}
+
+/// Returns the metrics that environments define by themselves, of all these results.
+pub fn own<'a>(results: impl Iterator<Item = &'a Metrics>) -> Vec<&'static Metric> {
+    let all: BTreeMap<&String, &OwnEstimate> = results.flat_map(|metrics| &metrics.own).collect();
+    all.into_iter().map(|(name, own)| registered(name, own.better, own.is_rate)).collect()
+}
+
+/// Returns the metrics of the built-in environments.
+pub fn built_in() -> impl Iterator<Item = &'static Metric> {
+    let metrics = BuiltIn::all().flat_map(|one| one.environment().spec().metrics.clone());
+    metrics.map(|metric| registered(metric.name, metric.better, metric.is_rate))
+}
+
+/// Returns the entry of a metric, which lives as long as the program.
+fn registered(name: &str, better: Better, is_rate: bool) -> &'static Metric {
+    static KNOWN: Mutex<Vec<&'static Metric>> = Mutex::new(Vec::new());
+    let mut known = KNOWN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let same = |m: &&&Metric| m.id == name && m.better == better && m.is_rate() == is_rate;
+    if let Some(metric) = known.iter().find(same) {
+        return metric;
+    }
+    let forever = |text: String| -> &'static str { Box::leak(text.into_boxed_str()) };
+    let title = forever(name.replace('_', " "));
+    let metric: &'static Metric = Box::leak(Box::new(Metric {
+        id: forever(name.to_owned()),
+        validation: forever(format!("validation/{name}")),
+        title,
+        axis: title,
+        scale: if is_rate { PERCENT } else { FINE },
+        better,
+        shown: Shown::InFigures,
+        explanation: "A metric that the environment defines by itself.",
+        source: Source::Own,
+    }));
+    known.push(metric);
+    metric
+}

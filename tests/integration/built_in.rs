@@ -1,0 +1,208 @@
+//! Built-in environments, and the examples of an environment and of a method of one's own.
+
+use std::sync::atomic::AtomicBool;
+
+use iwol_sumo::algo::{self, CommunicationScope};
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::config::{Config, Layers};
+use iwol_sumo::env::{BuiltIn, EnvSpec, Environment, Simple, Stream, WorldPhase};
+use iwol_sumo::rng::{self, Seed};
+use iwol_sumo::train::Trainer;
+use toml::Value;
+
+use crate::support::{folder, iwol};
+
+#[path = "../../examples/own_env.rs"]
+#[allow(dead_code)]
+mod own_env;
+#[path = "../../examples/own_method.rs"]
+#[allow(dead_code)]
+mod own_method;
+
+fn stream(worlds: usize, training: bool) -> Stream {
+    Stream {
+        worlds,
+        seed: Seed::new(4),
+        episodes: 0..u64::MAX,
+        training,
+        repeat_failed: if training { 0.5 } else { 0.0 },
+        beside: false,
+    }
+}
+
+/// Returns random actions of all agents, `[E, N, A]`.
+fn random(spec: &EnvSpec, worlds: usize, rng: &mut rng::Rng) -> Vec<f32> {
+    let one = |rng: &mut rng::Rng| match spec.actions.choices() {
+        Some(choices) => rng::below(rng, choices) as f32,
+        None => rng::symmetric(rng) as f32,
+    };
+    (0..worlds * spec.agents * spec.actions.len()).map(|_| one(rng)).collect()
+}
+
+/// Every environment plays many episodes without a mistake in its frames, and worlds that are
+/// restored go on as those that were not interrupted.
+#[test]
+fn worlds_come_back_to_where_they_were() {
+    for one in BuiltIn::all() {
+        let environment = one.environment();
+        let spec = environment.spec();
+        let stream = stream(3, true);
+        let mut rng = Seed::new(8).rng();
+        let mut worlds = environment.start(&stream).expect(one.name);
+        let mut episodes = 0;
+        for _ in 0..333 {
+            worlds.step(&random(spec, 3, &mut rng)).expect(one.name);
+            let records = worlds.take_finished();
+            episodes += records.len();
+            for record in records {
+                assert!((0.0..=1.0).contains(&record.success), "{}: {record:?}", one.name);
+                assert!(record.reward.is_finite(), "{}: {record:?}", one.name);
+                let names: Vec<&str> = spec.metrics.iter().map(|metric| metric.name).collect();
+                assert_eq!(record.own.len(), names.len(), "{}: {record:?}", one.name);
+            }
+        }
+        assert!(episodes >= 3, "{}: {episodes} episodes", one.name);
+        // Features are within the ranges of the specification.
+        for e in 0..3 {
+            let frame = worlds.view(e).frame;
+            let rows = frame.observation.chunks_exact(spec.observation.len());
+            for (row, acts) in rows.zip(&frame.active).filter(|(_, acts)| **acts > 0.0) {
+                for (value, feature) in row.iter().zip(&spec.observation.list) {
+                    let range = feature.low - 1e-5..=feature.high + 1e-5;
+                    assert!(range.contains(value), "{}: {feature:?} {value} {acts}", one.name);
+                }
+            }
+        }
+        let mut again = environment.restore(&stream, &worlds.states()).expect(one.name);
+        for _ in 0..50 {
+            let actions = random(spec, 3, &mut rng);
+            worlds.step(&actions).expect(one.name);
+            again.step(&actions).expect(one.name);
+            for e in 0..3 {
+                let (a, b) = (worlds.view(e), again.view(e));
+                assert_eq!((a.episode, a.step), (b.episode, b.step), "{}", one.name);
+                // What a world shows between two episodes is not kept.
+                if a.phase == WorldPhase::Running {
+                    assert_eq!(a.frame.observation, b.frame.observation, "{}", one.name);
+                    assert_eq!(a.frame.state, b.frame.state, "{}", one.name);
+                    assert_eq!(a.frame.reward, b.frame.reward, "{}", one.name);
+                }
+            }
+        }
+    }
+}
+
+/// Cars come less often in some episodes of a training than in any of an evaluation.
+#[test]
+fn training_may_have_easier_episodes() {
+    let cars = |training: bool| {
+        let environment = BuiltIn::named("traffic_junction").expect("it is there").environment();
+        let mut worlds = environment.start(&stream(1, training)).expect("worlds");
+        let mut found = Vec::new();
+        while found.len() < 40 {
+            worlds.step(&[0.0; 10]).expect("a step");
+            found.extend(worlds.take_finished().into_iter().map(|record| record.own["cars"]));
+        }
+        found
+    };
+    let least = |cars: Vec<f64>| cars.into_iter().fold(f64::INFINITY, f64::min);
+    assert!(least(cars(true)) < 8.0 && least(cars(false)) > 12.0);
+}
+
+fn config(method: &str, spec: &EnvSpec, sets: &[&str]) -> Config {
+    let flags = vec![("algorithm", Value::String(method.to_owned()))];
+    let sets = sets.iter().map(|set| (*set).to_owned()).collect();
+    Layers { flags, sets, ..Layers::default() }.without_scenario(spec).expect("settings")
+}
+
+fn success(trainer: &mut Trainer) -> f64 {
+    let found = trainer.validate(&AtomicBool::new(false)).expect("it runs").metrics();
+    found.expect("episodes").success.mean
+}
+
+/// The example of an environment is learned within seconds.
+#[test]
+fn the_example_of_an_environment_is_learned() {
+    let environment = || Box::new(Simple::new("square", own_env::Square::new));
+    let settings = config("mappo", environment().spec(), &["train.envs=8"]);
+    let mut trainer = Trainer::new(settings, environment()).expect("a trainer");
+    for _ in 0..40 {
+        trainer.iterate().expect("an iteration");
+    }
+    assert!(success(&mut trainer) > 0.95, "{}", success(&mut trainer));
+}
+
+/// A method of an application is trained, stored, resumed bit for bit and evaluated as those of the
+/// crate are, and its name is taken from then on.
+#[test]
+fn the_example_of_a_method_is_one_of_the_methods() {
+    algo::register::<own_method::Ippo>().expect("a new name");
+    let taken = algo::register::<own_method::Ippo>().expect_err("it is there").to_string();
+    assert_eq!(taken, "there is a method called `ippo` already; give yours another `NAME`");
+    assert!(algo::names().contains(&"ippo") && !algo::NAMES.contains(&"ippo"));
+    let can = algo::capabilities("ippo").expect("it is known");
+    assert!(can.scope == CommunicationScope::None && can.any_number && can.discrete);
+
+    let environment = || BuiltIn::named("navigation").expect("it is there").environment();
+    let sets = ["train.envs=8", "train.rollout_steps=100", "train.validation_episodes=16"];
+    let settings = || config("ippo", environment().spec(), &sets);
+    let mut trainer = Trainer::new(settings(), environment()).expect("a trainer");
+    let before = success(&mut trainer);
+    for _ in 0..3 {
+        trainer.iterate().expect("an iteration");
+    }
+    let folder = folder();
+    let file = folder.path().join("last.safetensors");
+    trainer.checkpoint().save(&file).expect("saved");
+    let stored = Checkpoint::load(&file).expect("loaded");
+    assert_eq!(stored.algorithm, "ippo");
+    let mut again = Trainer::resume(settings(), environment(), &stored).expect("resumed");
+    for _ in 0..2 {
+        trainer.iterate().expect("an iteration");
+        again.iterate().expect("an iteration");
+    }
+    let weights = |trainer: &Trainer| {
+        let state = trainer.checkpoint().learner;
+        state.iter().map(|(_, t)| t.double_value(&vec![0; t.dim()])).collect::<Vec<_>>()
+    };
+    assert_eq!(weights(&trainer), weights(&again));
+    for _ in 0..35 {
+        trainer.iterate().expect("an iteration");
+    }
+    let after = success(&mut trainer);
+    assert!(after > before + 0.1, "it learns: {before} to {after}");
+}
+
+/// Reports have the metrics of environments beside those of all tasks, with published values.
+#[test]
+fn reports_have_the_metrics_of_environments() {
+    let folder = folder();
+    let sweep = folder.path().join("robots.toml");
+    let file = "title = \"Robots\"\n[settings]\nsteps = 200\n\
+                train = { envs = 2, rollout_steps = 50, validation_episodes = 2 }\n\
+                [grid]\nenvironment = [\"navigation\", \"material_transport\"]\n\
+                algorithm = [\"mappo\"]\nseed = [0]\n\
+                [[evaluate]]\nepisodes = 4\nx = \"environment\"\n\
+                [[reference]]\nlabel = \"paper, MAPPO\"\nmetric = \"left_materials\"\n\
+                x = [\"material_transport\"]\ny = [18.3]\n";
+    std::fs::write(&sweep, file).expect("written");
+    let play = |arguments: &[&str]| {
+        let output = iwol(arguments).current_dir(folder.path()).output().expect("it runs");
+        let text =
+            [output.stdout, output.stderr].map(|text| String::from_utf8(text).expect("text"));
+        (output.status.success(), text.concat())
+    };
+    let (fine, text) = play(&["sweep", "robots.toml"]);
+    assert!(fine, "{text}");
+    let (fine, text) = play(&["report", "robots.toml", "--out", "report"]);
+    assert!(fine, "{text}");
+    let page = std::fs::read_to_string(folder.path().join("report/report.md")).expect("a report");
+    assert!(page.contains("safety % at") && page.matches("safety").count() < 5, "{page}");
+    for expected in ["left materials at", "distance at", "18.3", "reward at"] {
+        assert!(page.contains(expected), "{expected}: {page}");
+    }
+    let wrong = file.replace("left_materials", "left_material");
+    std::fs::write(&sweep, wrong).expect("written");
+    let (fine, text) = play(&["sweep", "robots.toml", "--dry-run"]);
+    assert!(!fine && text.contains("metric must be one of"), "{text}");
+}
