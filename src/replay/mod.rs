@@ -168,11 +168,12 @@ impl Recording {
             && recording.edges.as_ref().is_none_or(|text| bytes(text) == edges)
             && (recording.others.is_empty() || recording.others.len() == recording.steps)
             && recording.signals.iter().all(|signal| signal.states.len() == recording.steps)
-            && !recording.lanes.is_empty()
+            && !(recording.lanes.is_empty() && recording.zones.is_empty())
+            && recording.zones.iter().all(|zone| zone.shape.len() > 2)
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
         if rows == 0 || !whole {
             return Err(damaged(
-                "its columns do not have a number per step and agent, or it has no lanes"
+                "its columns do not have a number per step and agent, or it has neither lanes nor areas"
                     .to_owned(),
             ));
         }

@@ -173,6 +173,26 @@ fn the_example_of_a_method_is_one_of_the_methods() {
     assert!(after > before + 0.1, "it learns: {before} to {after}");
 }
 
+/// Every environment has a picture, with the ground and the agents.
+#[test]
+fn episodes_are_recorded_and_played_back() {
+    let folder = folder();
+    for name in BuiltIn::NAMES {
+        let play = |arguments: &[&str]| {
+            let output = iwol(arguments).current_dir(folder.path()).output().expect("it runs");
+            let text = String::from_utf8(output.stderr).expect("text");
+            assert!(output.status.success(), "{name}: {text}");
+        };
+        let few = ["--policy", "uniform", "--episodes", "1", "--record", "one.json"];
+        play(&[&["evaluate", "--environment", name][..], &few].concat());
+        play(&["replay", "one.json", "--out", "one.html", "--svg", "one.svg"]);
+        let still = std::fs::read_to_string(folder.path().join("one.svg")).expect("a still");
+        let agents = still.matches("fill=\"#0072b2\"").count();
+        let ground = still.matches("#d2d6da").count();
+        assert!(agents > 0 && ground > 0, "{name}: {agents} agents\n{still}");
+    }
+}
+
 /// Reports have the metrics of environments beside those of all tasks, with published values.
 #[test]
 fn reports_have_the_metrics_of_environments() {

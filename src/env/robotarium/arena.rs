@@ -31,8 +31,9 @@ const COLLISION_DISTANCE: f64 = 0.135;
 pub(super) struct Robot {
     /// Centre \[m\].
     pub(super) centre: Vector2<f64>,
-    /// Direction, counter-clockwise from the x axis \[rad\].
+    /// Direction, counter-clockwise from the x axis \[rad\], and as a unit vector.
     pub(super) heading: f64,
+    pub(super) direction: Vector2<f64>,
     /// Linear velocity \[m/s\].
     pub(super) linear: f64,
     /// Angular velocity \[rad/s\].
@@ -42,27 +43,28 @@ pub(super) struct Robot {
 impl Robot {
     /// Returns a robot that stands at a place with its heading along the x axis.
     pub(super) fn at(centre: Vector2<f64>) -> Self {
-        Self { centre, heading: 0.0, linear: 0.0, angular: 0.0 }
-    }
-
-    fn direction(&self) -> Vector2<f64> {
-        Vector2::new(self.heading.cos(), self.heading.sin())
+        Self { centre, heading: 0.0, direction: Vector2::x(), linear: 0.0, angular: 0.0 }
     }
 
     fn ahead(&self, distance: f64) -> Vector2<f64> {
-        self.centre + distance * self.direction()
+        self.centre + distance * self.direction
+    }
+
+    fn turn_to(&mut self, heading: f64) {
+        self.heading = heading;
+        self.direction = Vector2::new(heading.cos(), heading.sin());
     }
 
     /// Sets the velocities with which the point in front of the robot moves by `velocity`.
     fn follow(&mut self, velocity: Vector2<f64>) {
-        let along = self.direction();
+        let along = self.direction;
         self.linear = along.dot(&velocity).clamp(-LINEAR, LINEAR);
         self.angular = (along.perp(&velocity) / AHEAD).clamp(-ANGULAR, ANGULAR);
     }
 
     fn tick(&mut self) {
-        self.centre += TICK * self.linear * self.direction();
-        self.heading += TICK * self.angular;
+        self.centre += TICK * self.linear * self.direction;
+        self.turn_to(self.heading + TICK * self.angular);
     }
 
     fn is_outside(&self) -> bool {
@@ -99,11 +101,12 @@ fn capped(velocity: Vector2<f64>) -> Vector2<f64> {
 
 /// Notes which robots are outside of the arena or collide with another one.
 fn validate(robots: &[Robot], violations: &mut [bool]) {
-    let points: Vec<_> = robots.iter().map(|robot| robot.ahead(COLLISION_AHEAD)).collect();
     for (i, robot) in robots.iter().enumerate() {
         violations[i] |= robot.is_outside();
-        for j in 0..i {
-            if (points[i] - points[j]).norm() <= COLLISION_DISTANCE {
+        let point = robot.ahead(COLLISION_AHEAD);
+        for (j, other) in robots[..i].iter().enumerate() {
+            let apart = point - other.ahead(COLLISION_AHEAD);
+            if apart.norm_squared() <= COLLISION_DISTANCE * COLLISION_DISTANCE {
                 (violations[i], violations[j]) = (true, true);
             }
         }
@@ -135,7 +138,7 @@ mod tests {
     #[test]
     fn the_certificate_prevents_collisions() {
         let mut robots = [robot(-0.6, 0.0), robot(0.6, 0.01), robot(0.0, 0.6), robot(0.02, -0.6)];
-        robots[1].heading = std::f64::consts::PI;
+        robots[1].turn_to(std::f64::consts::PI);
         let goals = [[0.6, 0.0], [-0.6, 0.0], [0.0, -0.6], [0.0, 0.6]].map(Vector2::from);
         for _ in 0..100 {
             assert_eq!(drive(&mut robots, &goals, 29), [false; 4], "{robots:?}");

@@ -30,15 +30,45 @@ impl Pair {
         let [i, j] = self.robots;
         -2.0 * self.apart.dot(&(velocities[i] - velocities[j])) <= self.bound + ROUNDING
     }
+
+    /// Changes the velocities of the pair as little as possible so that this constraint holds with
+    /// equality: the projection onto its plane.
+    fn project(&self, velocities: &mut [Vector2<f64>]) {
+        let [i, j] = self.robots;
+        let excess = -2.0 * self.apart.dot(&(velocities[i] - velocities[j])) - self.bound;
+        let change = self.apart * (excess / (4.0 * self.apart.norm_squared()));
+        velocities[i] += change;
+        velocities[j] -= change;
+    }
 }
 
 /// Changes the velocities of points as little as possible so that the points keep apart.
+///
+/// Only constraints that matter are part of the programme: a minimum under some of the constraints
+/// that keeps the others too is the minimum under all of them.
 pub(super) fn certify(points: &[Vector2<f64>], velocities: &mut [Vector2<f64>]) {
-    let pairs = pairs(points);
-    // Desired velocities that all constraints allow are the minimum.
-    if !pairs.iter().all(|pair| pair.allows(velocities)) {
-        solve(&pairs, velocities);
+    let mut others = pairs(points);
+    let desired = velocities.to_vec();
+    let mut chosen: Vec<Pair> = Vec::new();
+    loop {
+        let before = chosen.len();
+        chosen.extend(others.extract_if(.., |pair| !pair.allows(velocities)));
+        if chosen.len() == before {
+            return;
+        }
+        velocities.copy_from_slice(&desired);
+        if are_apart(&chosen, velocities.len()) {
+            chosen.iter().for_each(|pair| pair.project(velocities));
+        } else {
+            solve(&chosen, velocities);
+        }
     }
+}
+
+/// Returns whether no robot is in two of the pairs.
+fn are_apart(pairs: &[Pair], robots: usize) -> bool {
+    let mut seen = vec![false; robots];
+    pairs.iter().flat_map(|pair| pair.robots).all(|i| !std::mem::replace(&mut seen[i], true))
 }
 
 fn pairs(points: &[Vector2<f64>]) -> Vec<Pair> {
