@@ -28,7 +28,7 @@ demo: build ## train vehicles to cross an intersection, and compare them with SU
 
 test: ## run every test: unit, integration (against the real SUMO) and documentation
 	@scripts/bootstrap --tests
-	$(CARGO) test --locked --features "$(FEATURES)"
+	$(CARGO) test --locked --features "$(FEATURES) mpi"
 
 python: ## build the Python package, install it into an empty virtual environment, and run its tests
 	@scripts/bootstrap --client --python

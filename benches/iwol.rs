@@ -29,6 +29,7 @@ fn env(agents: u32, worlds: usize) -> VecEnv {
     let options = VecOptions {
         replay: 0.0,
         worlds,
+        stride: worlds as u64,
         driver: Driver::Agents,
         seed: Seed::new(0),
         episodes: 0..u64::MAX,

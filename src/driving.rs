@@ -94,6 +94,7 @@ mod trainer {
     use crate::checkpoint::Checkpoint;
     use crate::config::{Config, TaskSource};
     use crate::env::{Environment, Task, Traffic};
+    use crate::ranks::Team;
     use crate::scenario::Scenario;
     use crate::train::{Error, Trainer};
 
@@ -120,23 +121,21 @@ mod trainer {
     }
 
     /// Starts a run, or continues it from a checkpoint, on a scenario or in a built-in
-    /// environment.
+    /// environment, together with the other processes of a team.
     ///
     /// # Errors
-    /// As [`trainer`] and [`resume`].
+    /// If the task cannot be set up, or as [`Trainer::among`].
     pub fn train_in(
         config: Config,
         place: &TaskSource,
         checkpoint: Option<&Checkpoint>,
+        team: &Team,
     ) -> Result<Trainer, Error> {
         let environment: Box<dyn Environment> = match place {
             TaskSource::Scenario(scenario) => Box::new(traffic(&config, scenario)?),
             TaskSource::BuiltIn(built_in) => built_in.environment(),
         };
-        match checkpoint {
-            None => Trainer::new(config, environment),
-            Some(checkpoint) => Trainer::resume(config, environment, checkpoint),
-        }
+        Trainer::among(config, environment, checkpoint, team)
     }
 
     /// Returns the environment of a run on a scenario.

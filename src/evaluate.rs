@@ -168,6 +168,7 @@ impl Stage<'_> {
         let worlds = (WORLDS as u64).min(episodes.end - episodes.start) as usize;
         let stream = Stream {
             training: false,
+            stride: worlds as u64,
             repeat_failed: 0.0,
             worlds,
             seed: self.seed.child("episodes"),

@@ -41,6 +41,7 @@ pub mod nn;
 pub mod onnx;
 pub mod plot;
 pub mod provenance;
+pub mod ranks;
 pub mod record;
 pub mod replay;
 pub mod report;

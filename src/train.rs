@@ -15,17 +15,20 @@ mod run_dir;
 mod schedule;
 mod setup;
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
-use tch::Tensor;
+use tch::{Kind, Tensor};
 
 use crate::algo::{Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{Environment, EpisodeRecord, WorldState, Worlds};
 use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
+use crate::fnv::Fnv;
+use crate::ranks::{Ranks, Team};
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
 
@@ -84,6 +87,7 @@ pub struct Trainer {
     environment: Box<dyn Environment>,
     worlds: Box<dyn Worlds>,
     learner: Box<dyn Algorithm>,
+    ranks: Arc<dyn Ranks>,
     rollout: Rollout,
     /// Memory of the policy before the next decision, `[E, N, M]`.
     memory: Tensor,
@@ -100,7 +104,7 @@ impl Trainer {
     /// # Errors
     /// If worlds cannot be started, or if the device or the initial weights cannot be used.
     pub fn new(config: Config, environment: Box<dyn Environment>) -> Result<Self, Error> {
-        Self::build(config, environment, None)
+        Self::build(config, environment, None, &Team::alone())
     }
 
     /// Continues a run from a checkpoint. The configuration may ask for more steps than that of the
@@ -114,7 +118,22 @@ impl Trainer {
         environment: Box<dyn Environment>,
         checkpoint: &Checkpoint,
     ) -> Result<Self, Error> {
-        Self::build(config, environment, Some(checkpoint))
+        Self::build(config, environment, Some(checkpoint), &Team::alone())
+    }
+
+    /// Starts a run, or continues it from a checkpoint, together with the other processes of a team.
+    /// All of them must call the same functions of their trainers in the same order, and stop by
+    /// [`Team::stop`].
+    ///
+    /// # Errors
+    /// As [`Trainer::new`] and [`Trainer::resume`], and [`Error::TooManyRanks`].
+    pub fn among(
+        config: Config,
+        environment: Box<dyn Environment>,
+        checkpoint: Option<&Checkpoint>,
+        team: &Team,
+    ) -> Result<Self, Error> {
+        Self::build(config, environment, checkpoint, team)
     }
 
     /// Returns the learner.
@@ -154,9 +173,26 @@ impl Trainer {
         let losses = timed(&mut self.timers.update, || {
             learner.update(&self.rollout, &parameters, seed.child("update"))
         })?;
+        self.agree()?;
         self.progress.iteration += 1;
         self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
+    }
+
+    /// Checks that all processes have the same weights.
+    fn agree(&self) -> Result<(), Error> {
+        if self.ranks.size() == 1 {
+            return Ok(());
+        }
+        let mut hash = Fnv::new();
+        for (_, tensor) in self.learner.state() {
+            let numbers: Vec<f32> = Vec::try_from(tensor.to_kind(Kind::Float).reshape([-1]))
+                .expect("a state is of numbers");
+            numbers.iter().for_each(|number| hash.bytes(&number.to_ne_bytes()));
+        }
+        let all = self.ranks.all_gather(&hash.value().to_ne_bytes());
+        let same = all.iter().all(|other| *other == all[0]);
+        same.then_some(()).ok_or(Error::Diverged { iteration: self.progress.iteration })
     }
 
     /// Resizes the rollout to the number of steps that the next iteration takes.

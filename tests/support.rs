@@ -44,6 +44,7 @@ pub fn agents_drive(worlds: usize, seed: u64, hosting: Hosting) -> VecOptions {
     VecOptions {
         replay: 0.0,
         worlds,
+        stride: worlds as u64,
         driver: Driver::Agents,
         seed: Seed::new(seed),
         episodes: 0..u64::MAX,

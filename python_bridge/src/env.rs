@@ -140,6 +140,7 @@ impl NativeEnv {
             None => {
                 let options = VecOptions {
                     worlds,
+                    stride: worlds as u64,
                     driver: Driver::Agents,
                     seed: stream(seed),
                     episodes: episode..u64::MAX,

@@ -6,6 +6,8 @@
 //! without a thread pool inside libtorch, and the result depends on the number of shards alone, not
 //! on the machine.
 
+use std::sync::Arc;
+
 use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
 
@@ -22,13 +24,20 @@ use super::settings::{NoiseMode, Settings};
 use super::{Algorithm, Channel, ChannelNoise, Error, Losses, UpdateParameters, check_agents};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
+use crate::ranks::{self, Ranks};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
+/// Named numbers of a minibatch or of a part of one.
+type Report = Vec<(&'static str, f64)>;
+
 /// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
-    /// One copy of the networks per shard.
+    /// One copy of the networks for each of this rank's shards.
     copies: Vec<N>,
+    ranks: Arc<dyn Ranks>,
+    /// Number of shards of all ranks.
+    shards: usize,
     pool: Option<rayon::ThreadPool>,
     settings: Settings,
     device: Device,
@@ -40,7 +49,13 @@ pub(super) struct ActorCritic<N> {
 
 impl<N: Networks> ActorCritic<N> {
     /// Creates a learner with initial weights drawn from `seed`.
-    pub(super) fn new(spec: &EnvSpec, settings: &Settings, seed: Seed, device: Device) -> Self {
+    pub(super) fn new(
+        spec: &EnvSpec,
+        settings: &Settings,
+        seed: Seed,
+        device: Device,
+        ranks: Arc<dyn Ranks>,
+    ) -> Self {
         let build = || {
             let mut builder = ParameterBuilder::new(seed, device);
             let networks = N::new(spec, settings, &mut builder);
@@ -50,20 +65,22 @@ impl<N: Networks> ActorCritic<N> {
         let mut weights = Weights::new(builder, settings.ppo.average > 0.0);
         let mut copies = vec![networks];
         // A GPU works on one shard at a time, so that a second one would bring nothing.
-        let shards = if device.is_cuda() { 1 } else { settings.ppo.shards.max(1) };
-        for _ in 1..shards {
+        let shards = if device.is_cuda() { ranks.size() } else { settings.ppo.shards.max(1) };
+        let own = ranks::part(&*ranks, shards).len().max(1);
+        for _ in 1..own {
             let (networks, builder) = build();
             builder.replicate(&mut weights);
             copies.push(networks);
         }
-        let threads = rayon::ThreadPoolBuilder::new()
-            .num_threads(shards)
-            .thread_name(|k| format!("shard{k}"));
+        let threads =
+            rayon::ThreadPoolBuilder::new().num_threads(own).thread_name(|k| format!("shard{k}"));
         // Libtorch keeps its number of threads for each calling thread.
         let threads = threads.start_handler(|_| tch::set_num_threads(1));
         Self {
             copies,
-            pool: (shards > 1).then(|| threads.build().expect("threads can be started")),
+            ranks,
+            shards,
+            pool: (own > 1).then(|| threads.build().expect("threads can be started")),
             settings: settings.clone(),
             device,
             weights,
@@ -99,7 +116,7 @@ impl<N: Networks> ActorCritic<N> {
         let carried = self.critic_memory.take();
         let carried = carried
             .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
-        let share = (envs as usize).div_ceil(self.copies.len()) as i64;
+        let share = (envs as usize).div_ceil(self.shards) as i64;
         let parts: Vec<_> = (0..envs)
             .step_by(share as usize)
             .map(|first| {
@@ -111,7 +128,8 @@ impl<N: Networks> ActorCritic<N> {
                 (count, batch.of_envs(envs, first, count), memory)
             })
             .collect();
-        let parts = self.parallel(parts, |networks, (count, part, memory)| {
+        let counts: Vec<i64> = parts.iter().map(|(count, ..)| *count).collect();
+        let parts = self.parallel(self.own(parts), |networks, (count, part, memory)| {
             no_grad(|| {
                 let (values, after) = networks.critic().values(&part, steps + 1, &memory);
                 let values = values.view([steps + 1, count, agents]);
@@ -124,18 +142,65 @@ impl<N: Networks> ActorCritic<N> {
                 (values, memory)
             })
         });
-        let joined = |tensors: Vec<&Tensor>, dim: i64| Tensor::cat(&tensors, dim);
+        let (values, memories): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
+        let of = |shape: fn([i64; 4]) -> Vec<i64>| -> Vec<Vec<i64>> {
+            counts.iter().map(|count| shape([steps + 1, *count, agents, width])).collect()
+        };
         if width > 0 {
-            let memories = || parts.iter().filter_map(|(_, memory)| memory.as_ref());
-            batch.value_memory = joined(memories().map(|m| &m.0).collect(), 1).view([
-                (steps + 1) * envs,
-                agents,
-                width,
-            ]);
-            self.critic_memory =
-                Some(joined(memories().map(|m| &m.1).collect(), 0).view([envs * agents, width]));
+            let (before, last) = memories.into_iter().flatten().unzip();
+            let before = self.gather(before, &of(|shape| shape.to_vec()));
+            let last =
+                self.gather(last, &of(|[_, count, agents, width]| vec![count, agents, width]));
+            let all = Tensor::cat(&before, 1);
+            batch.value_memory = all.view([(steps + 1) * envs, agents, width]);
+            self.critic_memory = Some(Tensor::cat(&last, 0).view([envs * agents, width]));
         }
-        joined(parts.iter().map(|(values, _)| values).collect(), 1).view([-1, agents])
+        let values =
+            self.gather(values, &of(|[steps, count, agents, _]| vec![steps, count, agents]));
+        Tensor::cat(&values, 1).view([-1, agents])
+    }
+
+    /// Returns which of the pieces of work, one for each shard, are this rank's.
+    fn own<T>(&self, mut all: Vec<T>) -> Vec<T> {
+        if self.ranks.size() == 1 {
+            return all;
+        }
+        let own = ranks::part(&*self.ranks, self.shards);
+        let end = own.end.min(all.len());
+        all.drain(own.start.min(end)..end).collect()
+    }
+
+    /// Returns the tensors of all shards from this rank's; `shapes` has the shape of each.
+    fn gather(&self, own: Vec<Tensor>, shapes: &[Vec<i64>]) -> Vec<Tensor> {
+        if self.ranks.size() == 1 {
+            return own;
+        }
+        let flat = own.iter().flat_map(|tensor| {
+            Vec::<f32>::try_from(tensor.reshape([-1])).expect("values are floats")
+        });
+        let all = ranks::gather_numbers(&*self.ranks, &flat.collect::<Vec<f32>>());
+        let mut rest = &all[..];
+        let tensor = |shape: &Vec<i64>| {
+            let (first, others) = rest.split_at(shape.iter().product::<i64>() as usize);
+            rest = others;
+            Tensor::from_slice(first).view(&shape[..]).to_device(self.device)
+        };
+        shapes.iter().map(tensor).collect()
+    }
+
+    /// Adds up the reports of all ranks' shards, in their order.
+    fn gather_reports(&self, own: &[Report]) -> Report {
+        let values: Vec<f64> = own.iter().flatten().map(|(_, value)| *value).collect();
+        let all = ranks::gather_doubles(&*self.ranks, &values);
+        // A rank without a shard in this minibatch does not know the names; the first rank does.
+        let Some(first) = own.first() else { return Report::new() };
+        let mut sums = vec![0.0; first.len()];
+        for (number, shard) in all.chunks_exact(first.len()).enumerate() {
+            for (sum, value) in sums.iter_mut().zip(shard) {
+                *sum = if number == 0 { *value } else { *sum + value };
+            }
+        }
+        first.iter().zip(sums).map(|((name, _), sum)| (*name, sum)).collect()
     }
 
     /// Makes one gradient step on a minibatch and returns the diagnostics. `rate` is
@@ -145,28 +210,27 @@ impl<N: Networks> ActorCritic<N> {
         batch: &Batch,
         shards: Vec<Shard>,
         rate: impl Fn(ParameterGroup) -> Option<f64>,
-    ) -> Result<Vec<(&'static str, f64)>, Error> {
+    ) -> Result<Report, Error> {
         // The reference updates the normalisation in every evaluation of the value loss.
         let returns: Vec<Tensor> =
             shards.iter().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));
         let (norm, settings) = (self.value_norm, self.settings.clone());
         let items: Vec<_> = shards.into_iter().map(|shard| (batch.share(), shard)).collect();
-        let reports = self.parallel(items, |networks, (batch, shard)| {
+        let reports = self.parallel(self.own(items), |networks, (batch, shard)| {
             let loss = networks.loss(&batch, &shard, &settings, &norm);
             (&loss.total * shard.weight).backward();
             loss.report
                 .iter()
                 .map(|(name, value)| (*name, shard.weight * scalar(value)))
-                .collect::<Vec<_>>()
+                .collect::<Report>()
         });
-        let mut report = reports.into_iter().reduce(|mut sums, part| {
-            sums.iter_mut().zip(part).for_each(|(sum, value)| sum.1 += value.1);
-            sums
-        });
-        let report = report.get_or_insert_default();
+        let mut report = self.gather_reports(&reports);
+        if self.ranks.size() > 1 {
+            self.weights.gather_from(&*self.ranks);
+        }
         report.extend(self.weights.step_all(MAX_GRAD_NORM, rate)?);
-        Ok(std::mem::take(report))
+        Ok(report)
     }
 }
 
@@ -255,8 +319,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let size = ppo.minibatch * parameters.batch_growth;
         for epoch in 0..ppo.epochs {
             let order = seed.child("epoch").index(epoch as u64);
-            for shards in minibatches(rollout, length, size, self.copies.len(), self.device, order)
-            {
+            for shards in minibatches(rollout, length, size, self.shards, self.device, order) {
                 let rate = |group| N::rate(group, epoch, parameters.learning_rate);
                 means.add(&self.step(&batch, shards, rate)?);
             }

@@ -3,8 +3,8 @@
 //! [`ppo`]; a method that is trained otherwise implements [`Algorithm`] itself.
 //!
 //! A new method of this crate needs a file, its `mod` line and an entry in `METHODS` below. Commands,
-//! messages and tests follow from that entry. An application adds a method of its own by [`register`];
-//! [`method`] has what such a method is made of.
+//! messages and tests follow from that entry. An application adds a method of its own by
+//! [`register`]; [`method`] has what such a method is made of.
 
 #![cfg(feature = "learn")]
 
@@ -18,6 +18,7 @@ mod decision;
 mod decoder;
 mod device;
 mod encoder;
+mod error;
 mod ex_iwol;
 mod frames;
 mod head;
@@ -43,10 +44,11 @@ pub mod settings;
 pub use channel::{Channel, ChannelNoise};
 pub use decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 pub use device::{ComputeDevice, NoDevice};
+pub use error::Error;
 pub use frames::store_frames;
 pub use settings::Settings;
 
-use std::sync::RwLock;
+use std::sync::{Arc, RwLock};
 
 use tch::{Device, Tensor};
 
@@ -54,13 +56,13 @@ use self::actor_critic::ActorCritic;
 use self::networks::Networks;
 
 use crate::env::EnvSpec;
-use crate::nn;
+use crate::ranks::{Alone, Ranks};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
 /// What a method that is trained by proximal policy optimisation is made of: it implements
-/// [`Networks`], and is then trained, stored, resumed and evaluated as the methods
-/// of this crate are.
+/// [`Networks`], and is then trained, stored, resumed and evaluated as the methods of this crate
+/// are.
 pub mod method {
     pub use super::batch::{Batch, Shard};
     pub use super::critic::{Critic, PrivilegedCritic, ValueFunction, value_loss};
@@ -68,7 +70,6 @@ pub mod method {
     pub use super::networks::{Loss, Networks};
     pub use super::parameters::{ACTOR, CRITIC, ParameterBuilder, ParameterGroup};
     pub use super::policy::{PolicyHead, PolicyTerms, Ratio};
-    pub use super::radio::Radio;
 }
 
 /// All methods of this crate, in the order in which commands and messages list them.
@@ -103,8 +104,12 @@ static REGISTERED: RwLock<Vec<Method>> = RwLock::new(Vec::new());
 /// Adds a method of your own, under its name, for all trainings and evaluations of this process.
 ///
 /// # Errors
-/// [`Error::NameTaken`] if another method has this name.
+/// [`Error::NameTaken`] if another method has this name; [`Error::OwnMessages`] if its agents send
+/// messages ([`Networks::MESSAGES`]), which only methods of this crate can pass through a [`Channel`].
 pub fn register<N: Networks + 'static>() -> Result<(), Error> {
+    if N::MESSAGES {
+        return Err(Error::OwnMessages { name: N::NAME });
+    }
     let mut registered = REGISTERED.write().unwrap_or_else(std::sync::PoisonError::into_inner);
     if METHODS.iter().chain(&*registered).any(|method| method.name == N::NAME) {
         return Err(Error::NameTaken { name: N::NAME });
@@ -136,7 +141,7 @@ fn those_that(can: impl Fn(&Capabilities) -> bool) -> String {
 struct Method {
     name: &'static str,
     capabilities: Capabilities,
-    build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
+    build: fn(&EnvSpec, &Settings, Seed, Device, &Arc<dyn Ranks>) -> Box<dyn Algorithm>,
 }
 
 impl Method {
@@ -156,8 +161,8 @@ impl Method {
         Self {
             name: N::NAME,
             capabilities,
-            build: |spec, settings, seed, device| {
-                Box::new(ActorCritic::<N>::new(spec, settings, seed, device))
+            build: |spec, settings, seed, device, ranks| {
+                Box::new(ActorCritic::<N>::new(spec, settings, seed, device, Arc::clone(ranks)))
             },
         }
     }
@@ -355,6 +360,22 @@ pub fn build(
     seed: Seed,
     device: Device,
 ) -> Result<Box<dyn Algorithm>, Error> {
+    let alone: Arc<dyn Ranks> = Arc::new(Alone);
+    build_among(name, spec, settings, seed, device, &alone)
+}
+
+/// Builds an algorithm as [`build`] does, whose updates the ranks divide among them.
+///
+/// # Errors
+/// As [`build`].
+pub fn build_among(
+    name: &str,
+    spec: &EnvSpec,
+    settings: &Settings,
+    seed: Seed,
+    device: Device,
+    ranks: &Arc<dyn Ranks>,
+) -> Result<Box<dyn Algorithm>, Error> {
     let method = Method::named(name)?;
     if let Some(why) = settings.channel.cannot_train(settings.network.encoder) {
         return Err(Error::Channel { why });
@@ -362,69 +383,6 @@ pub fn build(
     if spec.actions.choices().is_some() && !method.capabilities.discrete {
         return Err(Error::Discrete { algorithm: method.name });
     }
-    Ok((method.build)(spec, &settings.only(method.capabilities.settings), seed, device))
-}
-
-/// Errors of a learner.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum Error {
-    /// No algorithm has this name.
-    #[error("there is no algorithm `{name}`; choose one of {}", names().join(", "))]
-    UnknownAlgorithm {
-        /// The unknown name.
-        name: String,
-    },
-    /// A method is to be registered under a name that another method has.
-    #[error("there is a method called `{name}` already; give yours another `NAME`")]
-    NameTaken {
-        /// The name.
-        name: &'static str,
-    },
-    /// Training diverged.
-    #[error("training diverged: {what} is not finite; try a lower ppo.learning_rate")]
-    NonFinite {
-        /// The quantity that is not finite.
-        what: &'static str,
-    },
-    /// A stored state was trained with another number of agents, to which the algorithm is bound.
-    #[error(
-        "{algorithm} has parameters for each of {trained} agents and cannot be used with {agents}; use the same number of agents as \
-         in its training (--agents, scenario.traffic.penetration), or choose a method for any number of agents: {}",
-        those_that(|method| method.any_number)
-    )]
-    FixedAgents {
-        /// Name of the algorithm.
-        algorithm: &'static str,
-        /// Number of agents of the stored state.
-        trained: i64,
-        /// Number of agents of the task.
-        agents: i64,
-    },
-    /// A channel is set for an algorithm whose agents send no messages that it could disturb.
-    #[error(
-        "[channel] applies to messages that agents send at the same time and each receiver reads by itself; {algorithm} has none: omit [channel]"
-    )]
-    NoMessages {
-        /// Name of the algorithm.
-        algorithm: &'static str,
-    },
-    /// A method for continuous actions is to be trained where actions are discrete.
-    #[error(
-        "{algorithm} is for continuous actions only, and the environment's are discrete; choose one of {}",
-        those_that(|method| method.discrete)
-    )]
-    Discrete {
-        /// Name of the algorithm.
-        algorithm: &'static str,
-    },
-    /// A policy cannot be trained with this channel.
-    #[error("{why}")]
-    Channel {
-        /// The reason, and what to do.
-        why: &'static str,
-    },
-    /// A stored state belongs to another network.
-    #[error(transparent)]
-    State(#[from] nn::Error),
+    let settings = settings.only(method.capabilities.settings);
+    Ok((method.build)(spec, &settings, seed, device, ranks))
 }

@@ -4,6 +4,7 @@ use tch::{Device, Kind, Tensor, no_grad};
 
 use super::Error;
 use crate::nn::{self, Adam, AdamConfig, Params, Path, ValueNorm, named_views};
+use crate::ranks::{self, Ranks};
 use crate::rng::{Rng, Seed};
 
 /// The names of a parameter group, and the coefficients of its optimiser.
@@ -98,6 +99,13 @@ impl Weights {
         let sets: Vec<_> = builder.sets.into_iter().map(optimised).collect();
         let average = average.then(|| sets[0].adam.weights().copy());
         Self { sets, average }
+    }
+
+    /// Replaces the gradient of every group by the sum of those of all ranks' shards.
+    pub(super) fn gather_from(&mut self, ranks: &dyn Ranks) {
+        for own in &mut self.sets {
+            own.adam.gather_from(|gradients| ranks::gather_numbers(ranks, gradients));
+        }
     }
 
     /// Clips the gradient of every group to the norm `limit`, and steps every group that has a

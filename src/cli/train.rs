@@ -4,6 +4,7 @@
 
 use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -12,6 +13,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{self, Config, Document, Resolution, TaskSource};
 use iwol_sumo::driving;
+use iwol_sumo::ranks::{self, Ranks, Team};
 use iwol_sumo::sumo::Choice;
 use iwol_sumo::train::{Report, RunDir, TrainingEnd, human_duration};
 use iwol_sumo::words::counted;
@@ -62,6 +64,28 @@ fn same_file(a: &Path, b: &Path) -> bool {
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
+    let ranks = ranks::of_this_process()?;
+    if ranks.size() == 1 {
+        return train(args, ranks);
+    }
+    let end = train(args, Arc::clone(&ranks));
+    let known = |error: &anyhow::Error| {
+        use iwol_sumo::train::Error;
+        matches!(error.downcast_ref(), Some(Error::Env(_) | Error::Diverged { .. }))
+    };
+    match &end {
+        // All processes have failed together, and end once the first one has written the run.
+        Err(error) if known(error) => drop(ranks.all_gather(&[])),
+        Err(error) => {
+            say!("error: {error:#}");
+            ranks.abort();
+        }
+        Ok(_) => {}
+    }
+    end
+}
+
+fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     let given = &args.settings;
     let mut layers = given.layers()?;
     if let (None, Some(out), true) = (&given.config, &args.out, args.resume) {
@@ -114,8 +138,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if !args.resume {
         refuse_strange(&dir, given.config.as_deref())?;
     }
-    let _claim = dir.lock()?;
-    let stop = super::stop_flag()?;
+    let (first, size) = (ranks.rank() == 0, ranks.size());
+    let _claim = first.then(|| dir.lock()).transpose()?;
+    let team = Team::new(ranks, super::stop_flag()?);
+    let stop = Arc::clone(&team.stop);
     let mut agents = counted(config.agents, "agent");
     let mut mixed = false;
     if let TaskSource::Scenario(scenario) = &place {
@@ -137,10 +163,15 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
         changes = config::changes(&checkpoint.config, &config.to_toml());
-        driving::train_in(config.clone(), &place, Some(&checkpoint))?
+        driving::train_in(config.clone(), &place, Some(&checkpoint), &team)?
     } else {
-        driving::train_in(config.clone(), &place, None)?
+        driving::train_in(config.clone(), &place, None, &team)?
     };
+    // The first process writes the run. The others, which compute the same, keep what they write to
+    // themselves, and say nothing.
+    let aside = tempfile::tempdir().context("cannot create a temporary folder")?;
+    let dir = if first { dir } else { RunDir::new(aside.path()) };
+    super::be_quiet(!first);
     if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
         bail!(
             "`{}` is over after {} steps, so {change} would change nothing; allow more with --steps, or start a new run with --init-from",
@@ -169,6 +200,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         TaskSource::BuiltIn(_) => format!("{} without SUMO", counted(config.train.envs, "world")),
     };
     say!("{worlds}");
+    if size > 1 {
+        say!("{size} processes divide worlds and updates among them");
+    }
     if mixed && config.simulation.backend == Choice::Libsumo && config.train.envs > 1 {
         say!(
             "mixed traffic needs a SUMO per world, and libsumo runs one per process: TraCI is used"
@@ -182,7 +216,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     );
     bar.set_position(trainer.progress().step);
     bar.reset_eta();
-    let terminal = std::io::stderr().is_terminal();
+    let terminal = first && std::io::stderr().is_terminal();
     let mut last_line = Instant::now();
     let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
         let percent = |share: Option<f64>| {

@@ -177,6 +177,16 @@ impl Layers {
         if config.agents as usize == spec.agents {
             return Ok(());
         }
+        let stored: Option<toml::Table> = toml::from_str(&self.document.text).ok();
+        let stored = stored.as_ref().and_then(|table| table.get("environment")?.as_str());
+        if let Some(other) = stored.filter(|name| *name != config.environment) {
+            let place = self.place_of("environment");
+            let message = format!(
+                "these settings are for `{other}`, not for `{}`, which has {} agents",
+                config.environment, spec.agents
+            );
+            return Err(Error::Value { place, key: "environment".to_owned(), message });
+        }
         let message = format!("the environment has {} agents", spec.agents);
         let (place, key) = (self.place_of("agents"), "agents".to_owned());
         Err(Error::Value { place, key, message })

@@ -5,8 +5,9 @@ use super::junction::{JunctionSize, TrafficJunction};
 use super::quadruped::{GateSurrogate, SheepSurrogate};
 use super::robotarium::{Navigation, Transport};
 
-/// Range of the probability that a car comes at an entry in a step. Evaluations have its upper end
-/// (MAGIC's `train_tj_medium.sh` and `train_tj_easy.sh`).
+/// Range of the probability that a car comes at an entry in a step. Evaluations have its upper end,
+/// which is that of MAGIC's `train_tj_medium.sh` and `train_tj_easy.sh`; the lower end is a choice
+/// of this project.
 const MEDIUM: [f64; 2] = [0.02, 0.2];
 const EASY: [f64; 2] = [0.1, 0.3];
 

@@ -17,10 +17,13 @@ use crate::rng::Seed;
 pub struct Stream {
     /// Number of worlds E.
     pub worlds: usize,
+    /// Distance between consecutive episodes of a world: E, or the number of worlds of all
+    /// processes where these are a part of them.
+    pub stride: u64,
     /// Seed of the episodes.
     pub seed: Seed,
-    /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …, and then
-    /// idles.
+    /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + stride`, …, and
+    /// then idles.
     pub episodes: Range<u64>,
     /// Whether the episodes are those of a training. Those of evaluations and validations may be
     /// drawn from another distribution.

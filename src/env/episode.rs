@@ -1,6 +1,8 @@
 //! A world's place in its episodes: which one it plays, how far it has come, and what is needed to
 //! come back to exactly this place.
 
+use serde::{Deserialize, Serialize};
+
 use super::order::{Order, Position};
 use crate::rng::Seed;
 
@@ -18,7 +20,7 @@ pub(super) enum Phase {
 }
 
 /// A world's place in its episodes, enough to restore exactly the same state.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct WorldState {
     /// Number of the current episode.
     pub episode: u64,

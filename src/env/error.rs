@@ -61,6 +61,14 @@ pub enum Error {
         /// The agent, and what is wrong.
         what: String,
     },
+    /// Another process of the same training cannot go on.
+    #[error("process {rank} of this training: {what}")]
+    Rank {
+        /// Number of the process.
+        rank: usize,
+        /// Its error.
+        what: String,
+    },
     /// A worker panicked, which is a defect of this program.
     #[error("a worker panicked, which is a defect of this program: {message}")]
     Panicked {

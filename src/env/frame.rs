@@ -3,7 +3,7 @@
 use super::spec::EnvSpec;
 
 /// What a world gives to agents and learners after an exchange. Reused from step to step.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct Frame {
     /// Observations, `[N, O]`; zeros where no agent is present.
     pub observation: Vec<f32>,

@@ -11,8 +11,10 @@
 //!
 //! - A car observes its own cell and route, and nothing of its surroundings (IC3Net's vision 0;
 //!   MAGIC's script has 1).
-//! - In each episode of a training, cars come with another probability, from a range whose upper end
-//!   is that of evaluations (IC3Net: ever more often; MAGIC: always as in evaluations).
+//! - In each episode of a training, cars come with another probability, from a range whose upper
+//!   end is that of evaluations (IC3Net: ever more often; MAGIC: always as in evaluations).
+//! - A car that comes onto an occupied cell gets no reward for the collision in that step, because
+//!   it has not acted yet; the other car does.
 //! - A slot becomes free one step after its car has left.
 //! - The privileged state also has the car's age and the time that is left, on which its rewards
 //!   depend.
@@ -158,8 +160,8 @@ impl TrafficJunction {
             observation,
             state,
             metrics: vec![
-                OwnMetric::new("collisions", Better::Lower),
-                OwnMetric::new("cars", Better::Neither),
+                OwnMetric::count("collisions", Better::Lower),
+                OwnMetric::count("cars", Better::Neither),
             ],
         };
         Self {
@@ -308,7 +310,7 @@ impl MultiAgentEnv for TrafficJunction {
         self.begin(frame);
     }
 
-    /// Begins an episode in which cars come as often as a draw of the seed says.
+    /// Begins an episode with a probability of arrivals that is drawn from the range.
     fn reset_for_training(&mut self, seed: Seed, frame: &mut Frame) {
         self.rng = seed.rng();
         let [least, most] = self.arrivals;

@@ -25,19 +25,37 @@ pub struct OwnMetric {
     pub name: &'static str,
     /// Which values are better.
     pub better: Better,
-    /// Whether the values are shares from 0 to 1, which people see in percent.
-    pub is_rate: bool,
+    /// Which values are possible.
+    pub values: Values,
+}
+
+/// Which values of a metric are possible.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Values {
+    /// All numbers.
+    #[default]
+    Any,
+    /// Numbers from 0 on.
+    Positive,
+    /// Shares from 0 to 1, which people see in percent.
+    Rate,
 }
 
 impl OwnMetric {
     /// Returns a metric whose values are numbers of any kind.
     pub const fn new(name: &'static str, better: Better) -> Self {
-        Self { name, better, is_rate: false }
+        Self { name, better, values: Values::Any }
+    }
+
+    /// Returns a metric whose values are counts or other numbers from 0 on.
+    pub const fn count(name: &'static str, better: Better) -> Self {
+        Self { name, better, values: Values::Positive }
     }
 
     /// Returns a metric whose values are shares from 0 to 1.
     pub const fn rate(name: &'static str, better: Better) -> Self {
-        Self { name, better, is_rate: true }
+        Self { name, better, values: Values::Rate }
     }
 }
 

@@ -110,6 +110,11 @@ impl Metric {
         format!("{} {}", self.title, self.scale.unit).trim_end().to_owned()
     }
 
+    /// Returns whether an environment defines the metric by itself.
+    pub fn is_own(&self) -> bool {
+        matches!(self.source, Source::Own)
+    }
+
     /// Returns whether the metric is a rate in percent.
     pub fn is_rate(&self) -> bool {
         self.scale == PERCENT

@@ -5,9 +5,9 @@ use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
 
-use super::metric::{Metric, Shown, Source};
-use super::{FINE, Metrics, PERCENT};
-use crate::env::{Better, BuiltIn, EpisodeRecord, OwnMetric};
+use super::Metrics;
+use super::metric::{FINE, FINE_COUNT, Metric, PERCENT, Scale, Shown, Source};
+use crate::env::{Better, BuiltIn, EpisodeRecord, OwnMetric, Values};
 use crate::stats::Estimate;
 
 /// A metric of an environment: mean with its 95 % interval over episodes, and which values are
@@ -20,9 +20,9 @@ pub struct OwnEstimate {
     /// Which values are better.
     #[serde(default)]
     pub better: Better,
-    /// Whether the values are shares from 0 to 1.
+    /// Which values are possible.
     #[serde(default)]
-    pub is_rate: bool,
+    pub values: Values,
 }
 
 /// Summarises the metrics of an environment over episodes, by name.
@@ -33,9 +33,12 @@ pub(super) fn summary(
     let summary = |metric: &OwnMetric| {
         let values: Vec<f64> =
             records.iter().filter_map(|record| record.own.get(metric.name)).copied().collect();
-        let OwnMetric { name, better, is_rate } = *metric;
-        let estimate = if is_rate { Estimate::rate(&values)? } else { Estimate::t(&values)? };
-        Some((name.to_owned(), OwnEstimate { estimate, better, is_rate }))
+        let OwnMetric { name, better, values: possible } = *metric;
+        let estimate = match possible {
+            Values::Rate => Estimate::rate(&values)?,
+            Values::Any | Values::Positive => scale(possible).possible(Estimate::t(&values)?),
+        };
+        Some((name.to_owned(), OwnEstimate { estimate, better, values: possible }))
     };
     metrics.iter().filter_map(summary).collect()
 }
@@ -43,20 +46,30 @@ pub(super) fn summary(
 /// Returns the metrics that environments define by themselves, of all these results.
 pub fn own<'a>(results: impl Iterator<Item = &'a Metrics>) -> Vec<&'static Metric> {
     let all: BTreeMap<&String, &OwnEstimate> = results.flat_map(|metrics| &metrics.own).collect();
-    all.into_iter().map(|(name, own)| registered(name, own.better, own.is_rate)).collect()
+    all.into_iter().map(|(name, own)| registered(name, own.better, own.values)).collect()
 }
 
 /// Returns the metrics of the built-in environments.
 pub fn built_in() -> impl Iterator<Item = &'static Metric> {
     let metrics = BuiltIn::all().flat_map(|one| one.environment().spec().metrics.clone());
-    metrics.map(|metric| registered(metric.name, metric.better, metric.is_rate))
+    let named: BTreeMap<&str, OwnMetric> = metrics.map(|metric| (metric.name, metric)).collect();
+    named.into_values().map(|metric| registered(metric.name, metric.better, metric.values))
+}
+
+/// Returns how the values of a metric are shown.
+fn scale(values: Values) -> Scale {
+    match values {
+        Values::Any => FINE,
+        Values::Positive => FINE_COUNT,
+        Values::Rate => PERCENT,
+    }
 }
 
 /// Returns the entry of a metric, which lives as long as the program.
-fn registered(name: &str, better: Better, is_rate: bool) -> &'static Metric {
+fn registered(name: &str, better: Better, values: Values) -> &'static Metric {
     static KNOWN: Mutex<Vec<&'static Metric>> = Mutex::new(Vec::new());
     let mut known = KNOWN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let same = |m: &&&Metric| m.id == name && m.better == better && m.is_rate() == is_rate;
+    let same = |m: &&&Metric| m.id == name && m.better == better && m.scale == scale(values);
     if let Some(metric) = known.iter().find(same) {
         return metric;
     }
@@ -67,7 +80,7 @@ fn registered(name: &str, better: Better, is_rate: bool) -> &'static Metric {
         validation: forever(format!("validation/{name}")),
         title,
         axis: title,
-        scale: if is_rate { PERCENT } else { FINE },
+        scale: scale(values),
         better,
         shown: Shown::InFigures,
         explanation: "A metric that the environment defines by itself.",

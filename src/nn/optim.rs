@@ -106,6 +106,31 @@ impl Adam {
         });
     }
 
+    /// Replaces the gradient by the sum of those of all shards, of which the copies here are a part.
+    /// `all` gets the copies' gradients one after the other, and returns those of all shards in
+    /// their order.
+    pub fn gather_from(&mut self, all: impl FnOnce(&[f32]) -> Vec<f32>) {
+        let copies: Vec<Tensor> = std::iter::once(&self.gradient)
+            .chain(&self.others)
+            .map(Tensor::shallow_clone)
+            .collect();
+        let own = Vec::try_from(Tensor::cat(&copies, 0)).expect("gradients are of floats");
+        let all = all(&own);
+        tch::no_grad(|| {
+            for copy in copies {
+                let _ = copy.shallow_clone().zero_();
+            }
+            for (number, shard) in all.chunks_exact(self.weights.numel()).enumerate() {
+                let shard = Tensor::from_slice(shard);
+                if number == 0 {
+                    self.gradient.copy_(&shard);
+                } else {
+                    self.gradient += shard;
+                }
+            }
+        });
+    }
+
     /// Scales the gradient so that its Euclidean norm is at most `max` (as PyTorch's
     /// `clip_grad_norm_`), and returns the norm before scaling. If that norm is not finite, the
     /// gradient is left unchanged and must not be used for a step.

@@ -259,7 +259,13 @@ pub(super) fn references<'a>(
         .iter()
         .filter(move |r| r.metric == metric.id && r.evaluate.as_deref().or(first) == Some(name))
         .map(move |r| {
-            let place = |x: &Value| block.categories.iter().position(|c| *c == plain(x));
+            let number = |value: &Value| plain(value).parse::<f64>().ok();
+            let place = |x: &Value| {
+                let same = |c: &String| {
+                    *c == plain(x) || number(x).is_some_and(|x| c.parse::<f64>() == Ok(x))
+                };
+                block.categories.iter().position(same)
+            };
             if r.x.is_empty() && block.categories.len() == 1 {
                 return (r, r.y.iter().take(1).map(|y| (0, y * metric.scale.factor)).collect());
             }

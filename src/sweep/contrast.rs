@@ -87,9 +87,10 @@ impl Contrast {
             ));
         }
         if self.of == Compared::Training
-            && self.metric().is_none_or(|m| m.shown != Shown::Everywhere)
+            && self.metric().is_none_or(|m| m.shown != Shown::Everywhere && !m.is_own())
         {
-            let known: Vec<&str> = metrics::shown(Shown::Everywhere).map(|m| m.id).collect();
+            let all = metrics::shown(Shown::Everywhere).chain(metrics::built_in());
+            let known: Vec<&str> = all.map(|m| m.id).collect();
             return Err(format!(
                 "{at}: the metric of validations must be one of {}",
                 known.join(", ")

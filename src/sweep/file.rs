@@ -9,7 +9,9 @@ use toml::{Table, Value};
 use super::{
     Cell, Contrast, Error, Evaluate, Reference, base, combinations, holds, label, value_of,
 };
-use crate::config::{Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation};
+use crate::config::{
+    Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation, plain,
+};
 use crate::metrics::{self, Shown};
 
 /// A sweep file as it is written, merged with its base.
@@ -122,22 +124,25 @@ impl File {
 
     fn check_references(&self) -> Result<(), String> {
         for Reference { label, metric, x, y, evaluate, .. } in &self.reference {
-            let alone = x.is_empty() && y.len() == 1;
-            if !alone && x.len() != y.len() {
-                return Err(format!("[[reference]] `{label}`: x and y differ in length"));
-            }
             let named = |name: &String| self.evaluate.iter().find(|e| e.name == *name);
             let of = evaluate.as_ref().map_or(self.evaluate.first(), named);
             let known = of.is_some();
-            let axis = of.and_then(|of| Some((of.x.as_ref()?, of)));
-            if let Some((key, of)) = axis {
-                let all = of.grid.get(key).or_else(|| self.grid.get(key));
-                let all = all.and_then(Value::as_array).cloned().unwrap_or_default();
-                if let Some(other) = x.iter().find(|x| !all.contains(x)) {
-                    return Err(format!(
-                        "[[reference]] `{label}`: x has {other}, which is none of the values of {key} in the grid"
-                    ));
-                }
+            let values = of.and_then(|of| self.axis(of)).unwrap_or_default();
+            let alone = x.is_empty() && y.len() == 1 && values.len() < 2;
+            if !alone && x.len() != y.len() {
+                return Err(format!(
+                    "[[reference]] `{label}`: give as many values of x as of y; x has {}, y has {}",
+                    x.len(),
+                    y.len()
+                ));
+            }
+            if let Some(other) = x.iter().find(|x| !values.iter().any(|value| same(value, x))) {
+                let all: Vec<String> = values.iter().map(plain).collect();
+                return Err(format!(
+                    "[[reference]] `{label}`: x has {}, which the horizontal axis has not ({})",
+                    plain(other),
+                    all.join(", ")
+                ));
             }
             let all = || metrics::shown(Shown::InTables).chain(metrics::built_in());
             let reported = || all().map(|metric| metric.id);
@@ -149,6 +154,22 @@ impl File {
             }
         }
         Ok(())
+    }
+
+    /// Returns the values along the horizontal axis of an evaluation; `None` without an axis.
+    fn axis(&self, of: &Evaluate) -> Option<Vec<Value>> {
+        let several = |key: &&String| self.grid[*key].as_array().is_some_and(|all| all.len() > 1);
+        let varying = || self.grid.keys().filter(several).filter(|key| *key != "seed");
+        let own: Vec<&String> = of.grid.keys().collect();
+        let chosen = match (&of.x, &own[..]) {
+            (Some(x), _) => Some(x),
+            (None, [only]) => Some(*only),
+            _ => varying()
+                .find(|key| *key == "agents")
+                .or_else(|| varying().chain(own).find(|key| *key != "algorithm")),
+        };
+        let values = of.grid.get(chosen?).or_else(|| self.grid.get(chosen?))?;
+        values.as_array().cloned()
     }
 
     /// Returns the cells of this file. Messages call the file `file`; the cells' folders lie in
@@ -300,6 +321,12 @@ fn check_order(cells: &[Cell]) -> Result<(), String> {
         }
     }
     Ok(())
+}
+
+/// Returns whether two values are the same, numbers by their size.
+fn same(a: &Value, b: &Value) -> bool {
+    let number = |value: &Value| value.as_float().or_else(|| Some(value.as_integer()? as f64));
+    a == b || number(a).is_some_and(|a| number(b) == Some(a))
 }
 
 fn wrong(file: &str, message: String) -> Error {

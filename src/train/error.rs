@@ -61,6 +61,26 @@ pub enum Error {
         /// The folder.
         path: PathBuf,
     },
+    /// There are more processes than pieces of work.
+    #[error(
+        "{key} is {count}, so that {size} processes cannot each have one; start fewer processes, or set it to {size} or more"
+    )]
+    TooManyRanks {
+        /// The setting.
+        key: &'static str,
+        /// Its value.
+        count: usize,
+        /// Number of processes.
+        size: usize,
+    },
+    /// Processes of one training have come to different weights.
+    #[error(
+        "the processes of this training have come to different weights in iteration {iteration}, so that it cannot go on: their          machines compute differently; start it on machines of one kind"
+    )]
+    Diverged {
+        /// Number of the iteration.
+        iteration: u64,
+    },
     /// The checkpoint belongs to a run with other settings and cannot be resumed with these.
     #[error(
         "the checkpoint was written with another `{key}`; resume with the settings in the config.toml of its run folder"

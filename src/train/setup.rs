@@ -1,5 +1,7 @@
 //! Sets up a run: learner, worlds and rollout, new or from a checkpoint.
 
+use std::sync::Arc;
+
 use tch::Tensor;
 
 use super::{Error, RunDir, Timers, Trainer, schedule};
@@ -7,6 +9,7 @@ use crate::algo::{self, Settings};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::{self, Config};
 use crate::env::{Environment, Stream};
+use crate::ranks::{Divided, Team};
 use crate::rng::Seed;
 use crate::rollout::{Rollout, Sizes};
 
@@ -15,16 +18,25 @@ impl Trainer {
         config: Config,
         environment: Box<dyn Environment>,
         checkpoint: Option<&Checkpoint>,
+        team: &Team,
     ) -> Result<Self, Error> {
         let seed = Seed::new(config.seed);
+        let environment = divided(&config, environment, team)?;
         let spec = environment.spec();
         let device = config.device.find()?;
         let settings = Settings { channel: config.channel, ..config.learner.clone() };
-        let mut learner =
-            algo::build(&config.algorithm, spec, &settings, seed.child("weights"), device)?;
+        let mut learner = algo::build_among(
+            &config.algorithm,
+            spec,
+            &settings,
+            seed.child("weights"),
+            device,
+            &team.ranks,
+        )?;
         let envs = config.train.envs;
         let stream = Stream {
             worlds: envs,
+            stride: envs as u64,
             seed: seed.child("episodes"),
             episodes: 0..u64::MAX,
             training: true,
@@ -92,12 +104,34 @@ impl Trainer {
             environment,
             worlds,
             learner,
+            ranks: Arc::clone(&team.ranks),
             progress,
             seed,
             finished: Vec::new(),
             timers: Timers::default(),
         })
     }
+}
+
+/// Returns the environment with its worlds divided among the processes of a team, if there are
+/// several.
+fn divided(
+    config: &Config,
+    environment: Box<dyn Environment>,
+    team: &Team,
+) -> Result<Box<dyn Environment>, Error> {
+    let size = team.ranks.size();
+    if size == 1 {
+        return Ok(environment);
+    }
+    for (key, count) in
+        [("train.envs", config.train.envs), ("ppo.shards", config.learner.ppo.shards)]
+    {
+        if count < size {
+            return Err(Error::TooManyRanks { key, count, size });
+        }
+    }
+    Ok(Box::new(Divided::new(environment, team)))
 }
 
 /// Refuses to resume a run with settings under which its worlds cannot be restored.

@@ -267,6 +267,7 @@ fn episodes_do_not_depend_on_the_number_of_worlds() {
     let rewards = |worlds: usize| {
         let stream = Stream {
             worlds,
+            stride: worlds as u64,
             seed: Seed::new(1),
             episodes: 0..8,
             training: true,
@@ -304,6 +305,7 @@ fn episodes_do_not_depend_on_the_number_of_worlds() {
 fn frames_tell_who_comes_and_who_ends() {
     let stream = Stream {
         worlds: 1,
+        stride: 1,
         seed: Seed::new(5),
         episodes: 0..1,
         training: true,

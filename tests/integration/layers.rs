@@ -22,7 +22,8 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("nn", &["rng"]),
     ("rollout", &[]),
     ("onnx", &[]),
-    ("algo", &["nn", "onnx", "rollout", "rng", "env"]),
+    ("ranks", &["env"]),
+    ("algo", &["nn", "onnx", "ranks", "rollout", "rng", "env"]),
     ("record", &[]),
     ("plot", &["markup", "record", "words"]),
     ("config", &["algo", "env", "scenario", "suggest", "sumo"]),
@@ -30,7 +31,10 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("metrics", &["env", "provenance", "stats"]),
     ("curves", &["metrics", "plot", "record", "stats"]),
     ("evaluate", &["algo", "env", "metrics", "replay", "rng", "rollout"]),
-    ("driving", &["checkpoint", "config", "env", "evaluate", "rng", "scenario", "sumo", "train"]),
+    (
+        "driving",
+        &["checkpoint", "config", "env", "evaluate", "ranks", "rng", "scenario", "sumo", "train"],
+    ),
     (
         "train",
         &[
@@ -42,6 +46,7 @@ const ALLOWED: [(&str, &[&str]); 29] = [
             "fnv",
             "metrics",
             "provenance",
+            "ranks",
             "record",
             "rng",
             "rollout",
@@ -58,10 +63,12 @@ const ALLOWED: [(&str, &[&str]); 29] = [
     ("main", &[]),
 ];
 /// Crates that only some modules may use.
-const CRATES: [(&str, &[&str]); 6] = [
+const CRATES: [(&str, &[&str]); 8] = [
     ("tch", &["nn", "algo", "checkpoint", "evaluate", "train", "cli"]),
     ("rten", &["evaluate"]),
     ("clarabel", &["env"]),
+    ("ciborium", &["ranks"]),
+    ("mpi", &["ranks"]),
     ("clap", &["cli"]),
     ("anyhow", &["cli"]),
     ("indicatif", &["cli"]),

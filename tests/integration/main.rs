@@ -25,6 +25,7 @@ mod onnx_policies;
 mod pages;
 mod policies;
 mod pytorch_reference;
+mod ranks;
 mod recordings;
 mod reports;
 mod resuming;

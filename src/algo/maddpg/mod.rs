@@ -32,6 +32,8 @@
 mod networks;
 mod replay_buffer;
 
+use std::sync::Arc;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -56,6 +58,7 @@ use super::{
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
+use crate::ranks::Ranks;
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
@@ -92,7 +95,7 @@ const ACTION_PENALTY: f64 = 1e-3;
 
 /// Multi-agent deep deterministic policy gradient.
 pub(super) const MADDPG: Method =
-    method("maddpg", &[], &["maddpg"], |spec, settings, seed, device| {
+    method("maddpg", &[], &["maddpg"], |spec, settings, seed, device, _| {
         Box::new(Maddpg::new(spec, settings, seed, device, false))
     });
 /// MADDPG with IWoL's latent and messages.
@@ -100,14 +103,14 @@ pub(super) const MADDPG_IWOL: Method = method(
     "maddpg-iwol",
     &["world", "interaction"],
     &["maddpg", "iwol"],
-    |spec, settings, seed, device| Box::new(Maddpg::new(spec, settings, seed, device, true)),
+    |spec, settings, seed, device, _| Box::new(Maddpg::new(spec, settings, seed, device, true)),
 );
 
 const fn method(
     name: &'static str,
     latent: &'static [&'static str],
     settings: &'static [&'static str],
-    build: fn(&EnvSpec, &Settings, Seed, Device) -> Box<dyn Algorithm>,
+    build: fn(&EnvSpec, &Settings, Seed, Device, &Arc<dyn Ranks>) -> Box<dyn Algorithm>,
 ) -> Method {
     let capabilities = Capabilities {
         scope: CommunicationScope::None,

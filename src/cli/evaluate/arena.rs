@@ -57,9 +57,14 @@ impl Arena {
                 "{name}: ONNX models give continuous actions, and those of the environment are discrete"
             );
         }
+        if matches!(policy, Policy::Gaussian) && self.spec().actions.choices().is_some() {
+            bail!(
+                "{name} gives continuous actions, and those of the environment are choices; use uniform"
+            );
+        }
         if matches!(self, Self::Other(_)) && !any {
             bail!(
-                "{name} drives vehicles; in an environment without SUMO choose gaussian or uniform"
+                "{name} drives vehicles; in an environment without SUMO choose uniform, or gaussian where actions are continuous"
             );
         }
         Ok(())

@@ -60,6 +60,7 @@ impl Traffic {
     fn options(&self, stream: &Stream) -> VecOptions {
         VecOptions {
             worlds: stream.worlds,
+            stride: stream.stride,
             driver: self.driver,
             seed: stream.seed,
             episodes: stream.episodes.clone(),

@@ -22,12 +22,15 @@ use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
 pub struct VecOptions {
     /// Number of worlds E.
     pub worlds: usize,
+    /// Distance between consecutive episodes of a world: E, or the number of worlds of all
+    /// processes where these are a part of them.
+    pub stride: u64,
     /// What controls the agents' vehicles.
     pub driver: Driver,
     /// Seed of the episode stream.
     pub seed: Seed,
-    /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + E`, …, and then
-    /// idles.
+    /// Episodes of the stream to play: world `e` plays `start + e`, `start + e + stride`, …, and
+    /// then idles.
     pub episodes: std::ops::Range<u64>,
     /// Chance that a world repeats one of its failed episodes, if it has any, instead of playing
     /// the next episode of the stream.
@@ -156,14 +159,13 @@ impl VecEnv {
                 let failed = |source| Error::Sumo { world: first, episode: 0, step: 0, source };
                 let simulation = sumo::start(hosting.backend, config).map_err(failed)?;
                 let world = |e: usize| {
-                    let (episode, stride) =
-                        (options.episodes.start + e as u64, options.worlds as u64);
+                    let episode = options.episodes.start + e as u64;
                     World::new(
                         Arc::clone(task),
                         options.driver,
                         options.seed,
                         episode,
-                        stride,
+                        options.stride,
                         options.episodes.end,
                     )
                     .with_replay(options.replay)

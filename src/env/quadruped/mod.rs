@@ -1,13 +1,14 @@
 //! Surrogates of two tasks with quadrupeds: a gate to pass, and sheep to drive through a gate
-//! (multi-agent quadruped environment, ziyanx02/multiagent-quadruped-environment; the paper's Go1Gate
-//! and Go1Sheep).
+//! (multi-agent quadruped environment, ziyanx02/multiagent-quadruped-environment; the paper's
+//! Go1Gate and Go1Sheep).
 //!
-//! The originals simulate legs, joints and contacts in three dimensions. Here a robot is a box in the
-//! plane that follows the velocities that it is told with a lag of first order. So results must not
+//! The originals simulate legs, joints and contacts in three dimensions. Here a robot is a box in
+//! the plane that follows its commanded velocities with a lag of first order. So results must not
 //! be set beside those of the originals: rewards, success and difficulty differ.
 //!
-//! Differences besides: a decision lasts 0.1 s (originals: 0.02 s), and rewards are per decision;
-//! robots cannot fall; a robot that would touch a wall or the other robot is stopped.
+//! Other differences: a decision lasts 0.1 s (originals: 0.02 s). Rewards that the originals give
+//! in each step are given in each decision, so that they weigh a fifth of theirs beside rewards for
+//! progress. Robots cannot fall. A robot that would touch a wall or the other robot is stopped.
 
 mod gate;
 mod sheep;
@@ -46,7 +47,7 @@ const POSE: [Described; 4] = [
 const VELOCITY: [Described; 3] =
     [("forward", "m/s", -2.0, 2.0), ("left", "m/s", -0.5, 0.5), ("turning", "rad/s", -0.5, 0.5)];
 
-/// Returns what a robot is told: velocities in units of [`COMMAND`].
+/// Returns the commands of a robot: velocities in units of [`COMMAND`].
 fn commands() -> ActionSpace {
     vec![
         ActionDimension::named("forward"),
@@ -190,9 +191,10 @@ fn tick(robots: &mut [Robot; ROBOTS], actions: &[f32], track: &Track) -> [bool; 
             |pose: &Pose| !track.blocks(pose) && !boxes_overlap((pose, BODY), (&other, BODY));
         let poses = tries.map(|(dx, dy, heading)| Pose { x: x + dx, y: y + dy, heading });
         let found = poses.iter().position(free);
-        contacts[i] = found != Some(0);
-        if contacts[i] {
+        if found != Some(0) {
             robot.velocity = [0.0; 3];
+            contacts[i] = true;
+            contacts[1 - i] |= boxes_overlap((&poses[0], BODY), (&other, BODY));
         }
         robot.pose = found.map_or(robot.pose, |number| poses[number]);
         robots[i] = robot;
@@ -230,7 +232,7 @@ mod tests {
             tick(&mut robots, &actions, &track);
         }
         assert!((robots[0].velocity[0] - 2.0).abs() < 1e-6, "{robots:?}");
-        assert_eq!(robots[1].pose, robot(1.0, 0.5).pose, "nobody told it to move");
+        assert_eq!(robots[1].pose, robot(1.0, 0.5).pose, "its command is to stand");
     }
 
     /// Nothing passes through walls or through the other robot, and only one robot at a time fits

@@ -1,7 +1,7 @@
 //! Barrier certificates: the velocities nearest to the desired ones with which robots keep apart
 //! (Wang, Ames & Egerstedt 2017, "Safety barrier certificates for collisions-free multirobot
-//! systems"; `rps/utilities/barrier_certificates.py`, `create_single_integrator_barrier_certificate2`
-//! with the safety radius of MARBLER's setting `safe`).
+//! systems"; `create_single_integrator_barrier_certificate2` of
+//! `rps/utilities/barrier_certificates.py`, with the safety radius of MARBLER's setting `safe`).
 //!
 //! The velocities `v` minimise `Σ |v_i − v̂_i|²` subject to, for each pair,
 //! `−2 eᵀ(v_i − v_j) ≤ γ h³` with `e = x_i − x_j` and `h = |e|² − r²`.

@@ -1,11 +1,11 @@
-//! Robotarium: small robots in an arena of 3.2 × 2 m (Pickem et al. 2017, "The Robotarium: a remotely
-//! accessible swarm robotics research testbed"; `robotarium_python_simulator` before its version of
-//! 2024, and the tasks of MARBLER, GT-STAR-Lab/MARBLER).
+//! Robotarium: small robots in an arena of 3.2 × 2 m (Pickem et al. 2017, "The Robotarium: a
+//! remotely accessible swarm robotics research testbed"; `robotarium_python_simulator` before its
+//! version of 2024, and the tasks of MARBLER, GT-STAR-Lab/MARBLER).
 //!
 //! Robots choose among four moves and staying. A controller drives the point in front of each robot
-//! towards the place of its choice, with a barrier certificate that keeps robots apart. Robots do not
-//! see each other; everyone can hear everyone. An episode ends with the first violation: two robots
-//! collide, or one leaves the arena.
+//! towards the place of its choice, with a barrier certificate that keeps robots apart. Robots do
+//! not see each other; every robot can hear every other one. An episode ends with the first
+//! violation: two robots collide, or one leaves the arena.
 
 mod arena;
 mod certificate;
@@ -57,8 +57,8 @@ struct Grid {
 }
 
 impl Grid {
-    /// Draws `count` different places. The reference counts places from 1, so that the lowest one of
-    /// the first column is never drawn, and the lowest one of a further column is.
+    /// Draws `count` different places. The reference counts places from 1, so that the lowest one
+    /// of the first column is never drawn, and the lowest one of a further column is.
     fn draw(&self, rng: &mut Rng, count: usize) -> Vec<Vector2<f64>> {
         let mut numbers: Vec<usize> = (1..=self.columns * self.rows).collect();
         rng::shuffle(rng, &mut numbers);
@@ -71,18 +71,18 @@ impl Grid {
     }
 }
 
-/// Lets all robots act, and everyone hear everyone.
+/// Lets all robots act, and hear each other.
 fn begin(frame: &mut Frame) {
     frame.active.fill(1.0);
     frame.comm.fill(1.0);
 }
 
-/// Ends the episode: with a violation it is over for everyone, and at the time limit as well.
-fn finish(frame: &mut Frame, over: bool, late: bool) {
+/// Ends the episode for all robots if it is `over`, and truncates it at the time limit.
+fn finish(frame: &mut Frame, over: bool, truncated: bool) {
     for robot in 0..ROBOTS {
         if over {
             frame.end(robot);
-        } else if late {
+        } else if truncated {
             frame.truncate(robot);
         }
     }

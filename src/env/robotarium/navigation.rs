@@ -1,8 +1,8 @@
-//! Simple navigation: four robots go to one place (MARBLER, `scenarios/Simple`, with the observation
-//! and the reward of IWoL: DongsuLeeTech/IWoL, `Robotarium/onpolicy/envs/robotarium`).
+//! Simple navigation: four robots go to one place (MARBLER, `scenarios/Simple`, with the
+//! observation and the reward of IWoL: DongsuLeeTech/IWoL, `Robotarium/onpolicy/envs/robotarium`).
 //!
-//! Differences on purpose: an episode has 50 decisions (reference: 51), and the first observation is
-//! that of the start (reference: zeros).
+//! Differences on purpose: an episode has 50 decisions (reference: 51), and the first observation
+//! is that of the start (reference: zeros).
 
 use nalgebra::Vector2;
 
@@ -26,7 +26,8 @@ const DISTANCE: f32 = -0.1;
 const VIOLATION: f32 = -5.0;
 /// Weight of the others' mean reward.
 const COOPERATION: f32 = 0.3;
-/// Distance to the goal at which a robot counts as arrived \[m\]: four robots do not fit nearer.
+/// Distance to the goal at which a robot counts as arrived \[m\], a choice of this project: the
+/// references define no success.
 const NEAR: f64 = 0.3;
 
 const STARTS: Grid = Grid { corner: [-1.45, -0.9], columns: 3, rows: 6, spacing: 0.3 };
@@ -52,20 +53,20 @@ impl Navigation {
     pub fn new() -> Self {
         let place = |name| (name, "m", -1.6, 1.6);
         let own = [place("x"), place("y"), place("goal_x"), place("goal_y")];
-        let turn = |name| (name, "1", -1.0, 1.0);
+        let component = |name| (name, "1", -1.0, 1.0);
         let mut state = Features::of("own", &own);
-        state.push("heading", 1, &[turn("cos"), turn("sin")]);
+        state.push("heading", 1, &[component("cos"), component("sin")]);
         state.push("time", 1, &[("left", "episode", 0.0, 1.0)]);
         let other = ["dx", "dy"].map(|name| (name, "m", -3.2, 3.2));
-        state.push("other", ROBOTS - 1, &[other[0], other[1], turn("cos"), turn("sin")]);
+        state.push("other", ROBOTS - 1, &[other[0], other[1], component("cos"), component("sin")]);
         let spec = EnvSpec {
             agents: ROBOTS,
             actions: moves(),
             observation: Features::of("own", &own),
             state,
             metrics: vec![
-                OwnMetric::rate("safety", Better::Higher),
-                OwnMetric::new("distance", Better::Lower),
+                OwnMetric::rate("safe_robots", Better::Higher),
+                OwnMetric::count("distance", Better::Lower),
             ],
         };
         Self {

@@ -2,8 +2,8 @@
 //! material from two zones to a third (MARBLER, `scenarios/MaterialTransport`, with the rewards and
 //! the five actions of IWoL: DongsuLeeTech/IWoL, `Robotarium/onpolicy/envs/robotarium`).
 //!
-//! An empty robot in a loading zone loads as much as it can carry, and a loaded one in the unloading
-//! zone unloads. The reward is the team's. The episode ends when everything has been unloaded.
+//! An empty robot in a loading zone loads as much as it can carry, and a loaded one in the
+//! unloading zone unloads. The reward is the team's. The episode ends when everything has been unloaded.
 //!
 //! Differences on purpose: a robot also observes which kind it is (MARBLER's option
 //! `capability_aware`; IWoL: not), since one policy drives both kinds; an episode has 70 decisions
@@ -86,9 +86,9 @@ impl Transport {
                 share("fast", "1"),
             ],
         );
-        let turn = |name| (name, "1", -1.0, 1.0);
+        let component = |name| (name, "1", -1.0, 1.0);
         let mut state = observation.clone();
-        state.push("heading", 1, &[turn("cos"), turn("sin")]);
+        state.push("heading", 1, &[component("cos"), component("sin")]);
         state.push("time", 1, &[share("left", "episode")]);
         let apart = |name| (name, "m", -3.2, 3.2);
         let other = [apart("dx"), apart("dy"), share("load", "capacity"), share("fast", "1")];
@@ -99,8 +99,8 @@ impl Transport {
             observation,
             state,
             metrics: vec![
-                OwnMetric::rate("safety", Better::Higher),
-                OwnMetric::new("left_materials", Better::Lower),
+                OwnMetric::rate("safe_robots", Better::Higher),
+                OwnMetric::count("left_materials", Better::Lower),
             ],
         };
         Self {

@@ -1,0 +1,153 @@
+//! The processes of one training that runs on several at once, on one machine or on many.
+//!
+//! Every rank has all weights and takes the same decisions. The ranks divide the work: each
+//! simulates a part of the worlds ([`Divided`]) and computes the gradients of a part of a
+//! minibatch's shards. What each has found goes to all others, and is added up in the order of
+//! worlds and shards. So the result depends on the settings alone: it is the same to the bit as that
+//! of one process.
+
+#![cfg(feature = "learn")]
+
+mod divided;
+mod message;
+#[cfg(feature = "mpi")]
+mod mpi;
+#[cfg(test)]
+mod tests;
+#[cfg(test)]
+pub(crate) mod threads;
+
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+pub(crate) use divided::Divided;
+
+/// What connects the processes of one training.
+pub trait Ranks: Send + Sync {
+    /// Returns the number of this process, from 0.
+    fn rank(&self) -> usize;
+
+    /// Returns the number of processes.
+    fn size(&self) -> usize;
+
+    /// Gives `own` to all ranks, and returns what each of them gave, in the order of ranks. All
+    /// ranks must call it equally often.
+    fn all_gather(&self, own: &[u8]) -> Vec<Vec<u8>>;
+
+    /// Ends all ranks, because this one cannot go on and the others do not know.
+    fn abort(&self) {}
+}
+
+/// A training's connection with its other processes, and what stops it.
+#[derive(Clone)]
+pub struct Team {
+    /// The processes.
+    pub ranks: Arc<dyn Ranks>,
+    /// Set when this process is to stop.
+    pub asked: Arc<AtomicBool>,
+    /// Set in all processes, in the same step, once one of them has been asked to stop.
+    pub stop: Arc<AtomicBool>,
+}
+
+impl Team {
+    /// Returns the team of these processes, of which this one stops when `asked` is set.
+    pub fn new(ranks: Arc<dyn Ranks>, asked: Arc<AtomicBool>) -> Self {
+        let stop = if ranks.size() > 1 { Arc::default() } else { Arc::clone(&asked) };
+        Self { ranks, asked, stop }
+    }
+
+    /// Returns the team of a training in one process.
+    pub fn alone() -> Self {
+        Self::new(Arc::new(Alone), Arc::default())
+    }
+}
+
+/// A training in one process.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Alone;
+
+impl Ranks for Alone {
+    fn rank(&self) -> usize {
+        0
+    }
+
+    fn size(&self) -> usize {
+        1
+    }
+
+    fn all_gather(&self, own: &[u8]) -> Vec<Vec<u8>> {
+        vec![own.to_vec()]
+    }
+}
+
+/// Returns which of `count` pieces of work are a rank's: consecutive ones, about as many for each.
+pub(crate) fn part(ranks: &dyn Ranks, count: usize) -> Range<usize> {
+    part_of(ranks.rank(), ranks.size(), count)
+}
+
+fn part_of(rank: usize, size: usize, count: usize) -> Range<usize> {
+    rank * count / size..(rank + 1) * count / size
+}
+
+/// Gathers numbers from all ranks, one after the other.
+pub(crate) fn gather_numbers(ranks: &dyn Ranks, own: &[f32]) -> Vec<f32> {
+    let bytes: Vec<u8> = own.iter().flat_map(|number| number.to_ne_bytes()).collect();
+    let all = ranks.all_gather(&bytes);
+    all.iter().flat_map(|bytes| message::numbers(bytes)).collect()
+}
+
+/// Gathers numbers of double precision from all ranks, one after the other.
+pub(crate) fn gather_doubles(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
+    let bytes: Vec<u8> = own.iter().flat_map(|number| number.to_ne_bytes()).collect();
+    let all = ranks.all_gather(&bytes);
+    let double = |bytes: &[u8]| f64::from_ne_bytes(bytes.try_into().expect("eight bytes"));
+    all.iter().flat_map(|bytes| bytes.chunks_exact(8).map(double)).collect()
+}
+
+/// The process was started by MPI as one of several, but it cannot work together with the others.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The program was built without MPI.
+    #[error(
+        "this is one of {size} processes of MPI, and the program was built without MPI: they would all write the same run; build \
+         it with `cargo build --release --features mpi`, or start it without mpirun or srun"
+    )]
+    NotBuilt {
+        /// Number of processes.
+        size: usize,
+    },
+    /// MPI could not be started.
+    #[error("MPI could not be started in one of {size} processes")]
+    NotStarted {
+        /// Number of processes.
+        size: usize,
+    },
+}
+
+/// Returns the connection to the other processes that `mpirun` or `srun` started with this one; of
+/// a process that was started alone, [`Alone`].
+///
+/// # Errors
+/// [`Error`].
+pub fn of_this_process() -> Result<Arc<dyn Ranks>, Error> {
+    match processes() {
+        0 | 1 => Ok(Arc::new(Alone)),
+        #[cfg(feature = "mpi")]
+        size => Ok(Arc::new(mpi::World::start().ok_or(Error::NotStarted { size })?)),
+        #[cfg(not(feature = "mpi"))]
+        size => Err(Error::NotBuilt { size }),
+    }
+}
+
+/// Returns the number of processes that MPI's launcher started, by the variables that Open MPI, PMI
+/// and Slurm with PMIx set.
+fn processes() -> usize {
+    let number = |name: &str| std::env::var(name).ok()?.parse().ok();
+    let slurm = || {
+        std::env::var_os("PMIX_RANK")?;
+        number("SLURM_STEP_NUM_TASKS")
+    };
+    number("OMPI_COMM_WORLD_SIZE").or_else(|| number("PMI_SIZE")).or_else(slurm).unwrap_or(1)
+}

@@ -1,0 +1,170 @@
+//! Trainings whose ranks are threads of one process.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+
+use tch::{Kind, Tensor};
+use toml::Value;
+
+use super::threads::threads;
+use super::{Team, part_of};
+use crate::checkpoint::Checkpoint;
+use crate::config::{Config, Layers};
+use crate::env::{BuiltIn, Environment};
+use crate::train::{RunDir, Trainer, TrainingEnd};
+
+fn environment() -> Box<dyn Environment> {
+    BuiltIn::named("traffic_junction_easy").expect("it is there").environment()
+}
+
+fn config(method: &str, more: &[&str]) -> Config {
+    let usual = ["train.envs=5", "train.rollout_steps=20", "ppo.minibatch=96", "ppo.shards=3"];
+    let steps = ["steps=600", "train.validate_every=250", "train.validation_episodes=7"];
+    let sets = usual.iter().chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
+    let flags = vec![("algorithm", Value::String(method.to_owned()))];
+    let layers = Layers { flags, sets, ..Layers::default() };
+    layers.without_scenario(environment().spec()).expect("settings")
+}
+
+type Content = (BTreeMap<String, Vec<f64>>, String);
+
+/// Returns everything that a checkpoint contains of weights and worlds.
+fn content(checkpoint: &Checkpoint) -> Content {
+    let numbers = |tensor: &Tensor| {
+        Vec::try_from(tensor.to_kind(Kind::Double).reshape([-1])).expect("numbers")
+    };
+    let named = checkpoint.learner.iter().map(|(name, tensor)| (name.clone(), numbers(tensor)));
+    // A file has no order.
+    let weights: BTreeMap<String, Vec<f64>> = named.collect();
+    (weights, format!("{:?} {:?}", checkpoint.worlds, checkpoint.memory))
+}
+
+/// Trains in `size` threads, and returns what each has at the end, and the validations of the first.
+fn trained(size: usize, method: &str, more: &[&str]) -> (Vec<Content>, Vec<String>) {
+    let found = Mutex::new(vec![None; size]);
+    let lines = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for ranks in threads(size) {
+            let (found, lines, settings) = (&found, &lines, config(method, more));
+            scope.spawn(move || {
+                let rank = ranks.rank();
+                let team = Team::new(ranks, Arc::default());
+                let trainer = Trainer::among(settings, environment(), None, &team);
+                let mut trainer = trainer.expect("a trainer");
+                let folder = tempfile::tempdir().expect("a folder");
+                let dir = RunDir::new(folder.path());
+                let end = trainer.run(&dir, &team.stop, &mut |_| {}).expect("it runs");
+                assert_eq!(end, TrainingEnd::Finished);
+                let stored = content(&Checkpoint::load(&dir.last()).expect("a checkpoint"));
+                found.lock().expect("no thread panicked")[rank] = Some(stored);
+                if rank == 0 {
+                    let text = std::fs::read_to_string(dir.episodes()).expect("validations");
+                    *lines.lock().expect("no thread panicked") =
+                        text.lines().map(str::to_owned).collect();
+                }
+            });
+        }
+    });
+    let found = found.into_inner().expect("no thread panicked");
+    let all = found.into_iter().map(|one| one.expect("every rank ends")).collect();
+    (all, lines.into_inner().expect("no thread panicked"))
+}
+
+/// Two and three ranks have the weights, worlds and validations of one process with as many shards,
+/// to the bit: with messages, with memories, with sampled graphs and with a replay buffer.
+#[test]
+fn ranks_train_as_one_process_does() {
+    let gru = ["network.encoder=gru", "network.chunk_length=4"];
+    for (method, more) in [("ex-iwol", &[][..]), ("mappo", &gru), ("commformer", &[])] {
+        let (alone, validations) = trained(1, method, more);
+        assert!(validations.len() >= 14, "{method}: {validations:?}");
+        for size in [2, 3] {
+            let (all, same) = trained(size, method, more);
+            for (rank, one) in all.iter().enumerate() {
+                assert!(*one == alone[0], "{method}: rank {rank} of {size} differs");
+            }
+            assert_eq!(same, validations, "{method}");
+        }
+    }
+}
+
+/// A run of two ranks goes on from its checkpoint bit for bit.
+#[test]
+fn ranks_resume_bit_for_bit() {
+    let run = |stops: &[u64]| {
+        let folder = tempfile::tempdir().expect("a folder");
+        let file = &folder.path().join("last.safetensors");
+        for iterations in stops {
+            std::thread::scope(|scope| {
+                for ranks in threads(2) {
+                    scope.spawn(move || {
+                        let first = ranks.rank() == 0;
+                        let team = Team::new(ranks, Arc::default());
+                        let settings = config("ex-iwol", &[]);
+                        let last = file.exists().then(|| Checkpoint::load(file).expect("loaded"));
+                        let trainer = Trainer::among(settings, environment(), last.as_ref(), &team);
+                        let mut trainer = trainer.expect("a trainer");
+                        for _ in 0..*iterations {
+                            trainer.iterate().expect("an iteration");
+                        }
+                        let end = trainer.checkpoint();
+                        if first {
+                            end.save(file).expect("saved");
+                        }
+                    });
+                }
+            });
+        }
+        content(&Checkpoint::load(file).expect("loaded"))
+    };
+    assert!(run(&[4]) == run(&[3, 1]));
+}
+
+/// Once one rank is asked to stop, all stop after the same number of steps.
+#[test]
+fn ranks_stop_together() {
+    let ends = Mutex::new(Vec::new());
+    std::thread::scope(|scope| {
+        for ranks in threads(2) {
+            let ends = &ends;
+            scope.spawn(move || {
+                let asked = Arc::new(AtomicBool::new(false));
+                let (rank, team) = (ranks.rank(), Team::new(ranks, Arc::clone(&asked)));
+                let settings = config("mappo", &["steps=100000"]);
+                let trainer = Trainer::among(settings, environment(), None, &team);
+                let mut trainer = trainer.expect("a trainer");
+                let folder = tempfile::tempdir().expect("a folder");
+                let dir = RunDir::new(folder.path());
+                let end = trainer.run(&dir, &team.stop, &mut |report| {
+                    if rank == 1 && report.step >= 300 {
+                        asked.store(true, Ordering::Relaxed);
+                    }
+                });
+                assert_eq!(end.expect("it runs"), TrainingEnd::Interrupted);
+                ends.lock().expect("no thread panicked").push(trainer.progress().step);
+            });
+        }
+    });
+    let ends = ends.into_inner().expect("no thread panicked");
+    assert!(ends.len() == 2 && ends[0] == ends[1] && ends[0] < 1000, "{ends:?}");
+}
+
+/// A run with fewer worlds or shards than ranks is refused, with the setting.
+#[test]
+fn ranks_have_something_to_do() {
+    for key in ["train.envs", "ppo.shards"] {
+        let team = Team::new(threads(2).remove(0), Arc::default());
+        let settings = config("mappo", &[&format!("{key}=1")]);
+        let error = Trainer::among(settings, environment(), None, &team).err().expect("refused");
+        assert!(error.to_string().starts_with(&format!("{key} is 1")), "{error}");
+    }
+}
+
+#[test]
+fn work_is_divided_without_gaps() {
+    for (size, count) in [(1, 5), (2, 5), (3, 5), (4, 2), (5, 5)] {
+        let all: Vec<usize> = (0..size).flat_map(|rank| part_of(rank, size, count)).collect();
+        assert_eq!(all, (0..count).collect::<Vec<_>>());
+    }
+}
