@@ -14,6 +14,8 @@ mod noise;
 mod run_dir;
 mod schedule;
 mod setup;
+#[cfg(test)]
+mod tests;
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -188,7 +190,9 @@ impl Trainer {
         for (_, tensor) in self.learner.state() {
             let numbers: Vec<f32> = Vec::try_from(tensor.to_kind(Kind::Float).reshape([-1]))
                 .expect("a state is of numbers");
-            numbers.iter().for_each(|number| hash.bytes(&number.to_ne_bytes()));
+            for number in numbers {
+                hash.bytes(&number.to_ne_bytes());
+            }
         }
         let all = self.ranks.all_gather(&hash.value().to_ne_bytes());
         let same = all.iter().all(|other| *other == all[0]);

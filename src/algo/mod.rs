@@ -141,8 +141,11 @@ fn those_that(can: impl Fn(&Capabilities) -> bool) -> String {
 struct Method {
     name: &'static str,
     capabilities: Capabilities,
-    build: fn(&EnvSpec, &Settings, Seed, Device, &Arc<dyn Ranks>) -> Box<dyn Algorithm>,
+    build: Build,
 }
+
+/// Builds a method for an environment.
+type Build = fn(&EnvSpec, &Settings, Seed, Device, &Arc<dyn Ranks>) -> Box<dyn Algorithm>;
 
 impl Method {
     /// A method whose networks are trained by proximal policy optimisation.

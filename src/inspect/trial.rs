@@ -84,7 +84,7 @@ impl Trial {
         let task = Arc::new(Task::new(scenario, agents)?);
         let options = VecOptions {
             worlds: 1,
-            stride: 1 as u64,
+            stride: 1,
             driver: Driver::Agents,
             seed: seed.child("episodes"),
             episodes: 0..u64::from(u32::MAX),

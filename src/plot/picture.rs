@@ -220,7 +220,7 @@ fn ruler(scale: f64) -> f64 {
 /// Returns a line as the data of an SVG path.
 pub(crate) fn path(points: &[[f64; 2]]) -> String {
     let point = |(k, [x, y]): (usize, &[f64; 2])| {
-        format!("{}{x:.3} {y:.3}", if k == 0 { 'M' } else { 'L' })
+        format!("{}{x:.2} {y:.2}", if k == 0 { 'M' } else { 'L' })
     };
     points.iter().enumerate().map(point).collect()
 }

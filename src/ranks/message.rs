@@ -52,7 +52,7 @@ impl From<EpisodeRecord> for Finished {
 
 impl From<Finished> for EpisodeRecord {
     fn from(Finished { record, step_rewards, replayed }: Finished) -> Self {
-        Self { step_rewards, replayed, ..record }
+        Self { replayed, step_rewards, ..record }
     }
 }
 
@@ -94,7 +94,9 @@ pub(super) fn decoded(bytes: &[u8], frames: &mut [Frame]) -> Told {
         frame.interrupted = place.interrupted;
         for (array, length) in arrays(frame).into_iter().zip(told.lengths) {
             array.resize(length, 0.0);
-            array.iter_mut().for_each(|number| *number = numbers.next().expect("a number"));
+            for number in array {
+                *number = numbers.next().expect("a number");
+            }
         }
     }
     told

@@ -1,7 +1,7 @@
 //! The processes of one training that runs on several at once, on one machine or on many.
 //!
 //! Every rank has all weights and takes the same decisions. The ranks divide the work: each
-//! simulates a part of the worlds ([`Divided`]) and computes the gradients of a part of a
+//! simulates a part of the worlds (`divided`) and computes the gradients of a part of a
 //! minibatch's shards. What each has found goes to all others, and is added up in the order of
 //! worlds and shards. So the result depends on the settings alone: it is the same to the bit as that
 //! of one process.
@@ -12,8 +12,6 @@ mod divided;
 mod message;
 #[cfg(feature = "mpi")]
 mod mpi;
-#[cfg(test)]
-mod tests;
 #[cfg(test)]
 pub(crate) mod threads;
 
@@ -86,7 +84,7 @@ pub(crate) fn part(ranks: &dyn Ranks, count: usize) -> Range<usize> {
     part_of(ranks.rank(), ranks.size(), count)
 }
 
-fn part_of(rank: usize, size: usize, count: usize) -> Range<usize> {
+pub(crate) fn part_of(rank: usize, size: usize, count: usize) -> Range<usize> {
     rank * count / size..(rank + 1) * count / size
 }
 

@@ -1,11 +1,14 @@
 //! The connection by MPI.
 
 use mpi::Threading;
+use mpi::datatype::PartitionMut;
 use mpi::environment::Universe;
 use mpi::topology::SimpleCommunicator;
 use mpi::traits::{Communicator as _, CommunicatorCollectives as _};
 
 use super::Ranks;
+
+static NOTHING: [u8; 1] = [0];
 
 /// All processes that MPI's launcher started.
 pub(super) struct World {
@@ -50,8 +53,11 @@ impl Ranks for World {
                 first - count
             })
             .collect();
-        let mut all = vec![0_u8; first as usize];
-        let mut parts = mpi::datatype::PartitionMut::new(&mut all[..], &counts[..], &starts[..]);
+        // Rust's address of an empty slice may be the one by which MPI means "in place".
+        let own = if own.is_empty() { &NOTHING[..0] } else { own };
+        let mut all = vec![0_u8; first.max(1) as usize];
+        let received = &mut all[..first as usize];
+        let mut parts = PartitionMut::new(received, &counts[..], &starts[..]);
         world.all_gather_varcount_into(own, &mut parts);
         let of = |(start, count): (&i32, &i32)| all[*start as usize..][..*count as usize].to_vec();
         starts.iter().zip(&counts).map(of).collect()

@@ -61,7 +61,8 @@ impl Recording {
                 names.len() - 1
             });
             let fill = ZONES[number % ZONES.len()];
-            let _ = writeln!(svg, "<path d=\"{}Z\" {fill}/>", path(&zone.shape));
+            let corners = zone.shape.iter().map(|[x, y]| format!("{x:.3},{y:.3} "));
+            let _ = writeln!(svg, "<polygon points=\"{}\" {fill}/>", corners.collect::<String>());
         }
         for internal in [true, false] {
             for lane in self.lanes.iter().filter(|lane| lane.internal == internal && !lane.crossing)

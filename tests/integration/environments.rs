@@ -552,7 +552,7 @@ fn built_in_environments_are_used_by_name() {
         ),
         (
             vec!["evaluate", "--environment", "traffic_junction", "--policy", "sumo"],
-            "choose gaussian or uniform",
+            "choose uniform, or gaussian",
         ),
         (
             vec!["train", "--environment", "traffic_junction", "--set", "scenario=a.xml"],

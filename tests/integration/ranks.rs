@@ -12,7 +12,12 @@ use tch::Kind;
 
 use crate::support::folder;
 
-const SETTINGS: [&str; 12] = [
+/// On SUMO, and in an environment without it, whose worlds have no counters to exchange.
+const SUMO: [&str; 3] =
+    ["scenario=scenarios/intersection.xml", "agents=4", "simulation.backend=traci"];
+const WITHOUT: [&str; 1] = ["environment=traffic_junction_easy"];
+
+const SETTINGS: [&str; 9] = [
     "train.envs=4",
     "train.rollout_steps=128",
     "train.validate_every=1000",
@@ -20,15 +25,12 @@ const SETTINGS: [&str; 12] = [
     "ppo.shards=4",
     "ppo.minibatch=512",
     "simulation.processes=2",
-    "agents=4",
     "seed=3",
     "algorithm=ex-iwol",
-    "simulation.backend=traci",
-    "scenario=scenarios/intersection.xml",
 ];
 
 /// Returns a training for `steps` steps, in `size` processes of MPI if there are several.
-fn training(size: usize, out: &Path, steps: u32) -> Command {
+fn training(size: usize, out: &Path, steps: u32, place: &[&str]) -> Command {
     let program = env!("CARGO_BIN_EXE_iwol");
     let mut command = match size {
         1 => Command::new(program),
@@ -39,7 +41,7 @@ fn training(size: usize, out: &Path, steps: u32) -> Command {
         command.args(["--allow-run-as-root", "--oversubscribe", "-n", &size.to_string(), program]);
     }
     command.args(["train", "--steps", &steps.to_string(), "--out"]).arg(out);
-    for set in SETTINGS {
+    for set in SETTINGS.iter().chain(place) {
         command.args(["--set", set]);
     }
     command.current_dir(env!("CARGO_MANIFEST_DIR")).stdout(Stdio::null()).stderr(Stdio::piped());
@@ -66,26 +68,32 @@ fn content(run: &Path) -> (BTreeMap<String, Vec<f64>>, String) {
 #[test]
 fn processes_train_as_one_does() {
     let folder = folder();
-    let run = |size: usize| {
-        let out = folder.path().join(size.to_string());
-        let (fine, text) = end(training(size, &out, 2048).spawn().expect("mpirun is installed"));
+    let run = |size: usize, name: &str, place: &[&str]| {
+        let out = folder.path().join(format!("{name}_{size}"));
+        let (fine, text) =
+            end(training(size, &out, 2048, place).spawn().expect("mpirun is installed"));
         assert!(fine, "{size}: {text}");
         let divided = format!("{size} processes divide worlds and updates");
         assert_eq!(text.matches(&divided).count(), usize::from(size > 1), "{text}");
         content(&out)
     };
-    let alone = run(1);
-    assert!(alone.1.lines().count() >= 12, "{}", alone.1);
-    for size in [2, 4] {
-        assert!(run(size) == alone, "{size} processes differ");
+    for (name, place, sizes) in [("sumo", &SUMO[..], &[2, 4][..]), ("without", &WITHOUT, &[2])] {
+        let alone = run(1, name, place);
+        assert!(alone.1.lines().count() >= 12, "{}", alone.1);
+        for size in sizes {
+            assert!(run(*size, name, place) == alone, "{name}: {size} processes differ");
+        }
     }
     let folders = std::fs::read_dir(folder.path()).expect("a folder").count();
-    assert_eq!(folders, 3, "each run has one folder");
+    assert_eq!(folders, 5, "each run has one folder");
 }
 
 fn children(of: u32) -> Vec<u32> {
-    let path = format!("/proc/{of}/task/{of}/children");
-    let text = std::fs::read_to_string(path).unwrap_or_default();
+    let threads = std::fs::read_dir(format!("/proc/{of}/task")).into_iter().flatten();
+    let text = threads
+        .flatten()
+        .map(|thread| std::fs::read_to_string(thread.path().join("children")).unwrap_or_default());
+    let text: String = text.collect();
     text.split_whitespace().filter_map(|id| id.parse().ok()).collect()
 }
 
@@ -95,7 +103,7 @@ fn children(of: u32) -> Vec<u32> {
 fn a_process_that_dies_ends_the_run() {
     let folder = folder();
     let out = folder.path().join("run");
-    let child = training(2, &out, 1_000_000).spawn().expect("mpirun is installed");
+    let child = training(2, &out, 1_000_000, &SUMO).spawn().expect("mpirun is installed");
     let begin = Instant::now();
     let last = out.join("checkpoints/last.safetensors");
     while !last.exists() {
@@ -117,7 +125,7 @@ fn a_process_that_dies_ends_the_run() {
     }
     let stored = Checkpoint::load(&last).expect("a whole checkpoint");
     let more = (stored.progress.step + 512) as u32;
-    let mut again = training(2, &out, more);
+    let mut again = training(2, &out, more, &SUMO);
     let (fine, text) = end(again.arg("--resume").spawn().expect("mpirun is installed"));
     assert!(fine && text.contains(&format!("finished after {more} steps")), "{text}");
 }
@@ -126,7 +134,7 @@ fn a_process_that_dies_ends_the_run() {
 #[test]
 fn more_processes_than_shards_are_refused() {
     let folder = folder();
-    let mut command = training(3, &folder.path().join("run"), 1000);
+    let mut command = training(3, &folder.path().join("run"), 1000, &SUMO);
     command.args(["--set", "ppo.shards=2"]);
     let (fine, text) = end(command.spawn().expect("mpirun is installed"));
     assert!(!fine && text.contains("ppo.shards is 2, so that 3 processes"), "{text}");

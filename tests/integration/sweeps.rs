@@ -200,8 +200,8 @@ fn report(file: &Path, runs: &Path, folder: &Path) {
         "| success % at communication range (± t-interval over seeds) | 100.0 | 10.0 |",
         "| published | 50.0 | – |",
         // With a single place, all metrics are columns of one table.
-        "| ± t-interval over seeds | success % | safety % | crash % | window reward (throughput) | loitering % |",
-        "| published, plain | 25.0 | – | – | 300.0 | – |",
+        "| ± t-interval over seeds | success % | safety % | crash % | reward | window reward (throughput) | loitering % |",
+        "| published, plain | 25.0 | – | – | – | 300.0 | – |",
         "km per crash",
         "Evaluated by iwol",
     ] {
@@ -362,6 +362,7 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
         ("steps = 4096", "steps = 256"),
         ("seed = [0, 1]", "agents = [5, 4]\nseed = [0]"),
         ("[[evaluate]]\nname = \"range\"", rule),
+        ("evaluate = \"plain\"\n", "evaluate = \"plain\"\nx = [4]\n"),
     ];
     let file = sweep_file(
         folder.path(),

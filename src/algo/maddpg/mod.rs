@@ -32,8 +32,6 @@
 mod networks;
 mod replay_buffer;
 
-use std::sync::Arc;
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -53,12 +51,11 @@ use super::parameters::{
 use super::ppo::{MAX_GRAD_NORM, masked_mean};
 use super::settings::Settings;
 use super::{
-    Algorithm, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses, Method,
-    UpdateParameters,
+    Algorithm, Build, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses,
+    Method, UpdateParameters,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
-use crate::ranks::Ranks;
 use crate::rng::{self, Seed};
 use crate::rollout::Rollout;
 
@@ -110,7 +107,7 @@ const fn method(
     name: &'static str,
     latent: &'static [&'static str],
     settings: &'static [&'static str],
-    build: fn(&EnvSpec, &Settings, Seed, Device, &Arc<dyn Ranks>) -> Box<dyn Algorithm>,
+    build: Build,
 ) -> Method {
     let capabilities = Capabilities {
         scope: CommunicationScope::None,

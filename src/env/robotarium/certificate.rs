@@ -58,7 +58,9 @@ pub(super) fn certify(points: &[Vector2<f64>], velocities: &mut [Vector2<f64>]) 
         }
         velocities.copy_from_slice(&desired);
         if are_apart(&chosen, velocities.len()) {
-            chosen.iter().for_each(|pair| pair.project(velocities));
+            for pair in &chosen {
+                pair.project(velocities);
+            }
         } else {
             solve(&chosen, velocities);
         }

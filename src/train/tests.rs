@@ -7,15 +7,15 @@ use std::sync::{Arc, Mutex};
 use tch::{Kind, Tensor};
 use toml::Value;
 
-use super::threads::threads;
-use super::{Team, part_of};
+use super::{RunDir, Trainer, TrainingEnd};
 use crate::checkpoint::Checkpoint;
 use crate::config::{Config, Layers};
-use crate::env::{BuiltIn, Environment};
-use crate::train::{RunDir, Trainer, TrainingEnd};
+use crate::env::{self, Environment};
+use crate::ranks::threads::threads;
+use crate::ranks::{Team, part_of};
 
 fn environment() -> Box<dyn Environment> {
-    BuiltIn::named("traffic_junction_easy").expect("it is there").environment()
+    env::BuiltIn::named("traffic_junction_easy").expect("it is there").environment()
 }
 
 fn config(method: &str, more: &[&str]) -> Config {
@@ -23,7 +23,7 @@ fn config(method: &str, more: &[&str]) -> Config {
     let steps = ["steps=600", "train.validate_every=250", "train.validation_episodes=7"];
     let sets = usual.iter().chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
     let flags = vec![("algorithm", Value::String(method.to_owned()))];
-    let layers = Layers { flags, sets, ..Layers::default() };
+    let layers = Layers { sets, flags, ..Layers::default() };
     layers.without_scenario(environment().spec()).expect("settings")
 }
 
