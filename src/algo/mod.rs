@@ -105,7 +105,8 @@ static REGISTERED: RwLock<Vec<Method>> = RwLock::new(Vec::new());
 ///
 /// # Errors
 /// [`Error::NameTaken`] if another method has this name; [`Error::OwnMessages`] if its agents send
-/// messages ([`Networks::MESSAGES`]), which only methods of this crate can pass through a [`Channel`].
+/// messages ([`Networks::MESSAGES`]), which only methods of this crate can pass through a
+/// [`Channel`].
 pub fn register<N: Networks + 'static>() -> Result<(), Error> {
     if N::MESSAGES {
         return Err(Error::OwnMessages { name: N::NAME });

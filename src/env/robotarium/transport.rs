@@ -3,7 +3,8 @@
 //! the five actions of IWoL: DongsuLeeTech/IWoL, `Robotarium/onpolicy/envs/robotarium`).
 //!
 //! An empty robot in a loading zone loads as much as it can carry, and a loaded one in the
-//! unloading zone unloads. The reward is the team's. The episode ends when everything has been unloaded.
+//! unloading zone unloads. The reward is the team's. The episode ends when everything has been
+//! unloaded.
 //!
 //! Differences on purpose: a robot also observes which kind it is (MARBLER's option
 //! `capability_aware`; IWoL: not), since one policy drives both kinds; an episode has 70 decisions
