@@ -71,7 +71,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let end = train(args, Arc::clone(&ranks));
     let known = |error: &anyhow::Error| {
         use iwol_sumo::train::Error;
-        matches!(error.downcast_ref(), Some(Error::Env(_) | Error::Diverged { .. }))
+        matches!(
+            error.downcast_ref(),
+            Some(Error::Env(_) | Error::Algorithm(_) | Error::Diverged { .. })
+        )
     };
     match &end {
         // All processes have failed together, and end once the first one has written the run.

@@ -2,12 +2,12 @@
 //! the reward of the paper's Go1Gate). A surrogate, see the module above.
 
 use super::{
-    DECISION, PLACE, POSE, ROBOTS, Robot, TICK, Track, UNIT, VELOCITY, begin, commands, tick,
+    DECISION, ROBOTS, Robot, TICK, Track, UNIT, begin, commands, observed, privileged, tick,
 };
 use crate::env::frame::Frame;
 use crate::env::multi_agent::{MultiAgentEnv, Simple};
 use crate::env::picture::Picture;
-use crate::env::spec::{Better, EnvSpec, Features, OwnMetric};
+use crate::env::spec::{Better, EnvSpec, OwnMetric};
 use crate::rng::{self, Seed};
 
 /// Decisions of an episode: 10 s.
@@ -46,17 +46,8 @@ impl Default for GateSurrogate {
 impl GateSurrogate {
     /// Creates a world.
     pub fn new() -> Self {
-        let mut observation = Features::default();
-        let mut state = Features::default();
-        for features in [&mut observation, &mut state] {
-            features.push("own", 1, &POSE);
-            features.push("other", 1, &POSE);
-            features.push("gate", 1, &PLACE);
-            features.push("robot", 1, &[("first", "1", 0.0, 1.0), ("second", "1", 0.0, 1.0)]);
-        }
-        state.push("own_velocity", 1, &VELOCITY);
-        state.push("other_velocity", 1, &VELOCITY);
-        state.push("time", 1, &[("left", "episode", 0.0, 1.0)]);
+        let observation = observed();
+        let state = privileged(&observation);
         let spec = EnvSpec {
             agents: ROBOTS,
             actions: commands(),

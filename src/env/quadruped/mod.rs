@@ -19,7 +19,7 @@ pub use sheep::SheepSurrogate;
 use super::driving::{Pose, Size, boxes_overlap};
 use super::frame::Frame;
 use super::picture::{Backdrop, Figure, FigureStatus, Zone};
-use super::spec::{ActionDimension, ActionSpace, Described};
+use super::spec::{ActionDimension, ActionSpace, Described, Features};
 use crate::rng::{self, Rng};
 
 /// Number of robots.
@@ -55,6 +55,25 @@ fn commands() -> ActionSpace {
         ActionDimension::named("turning"),
     ]
     .into()
+}
+
+/// Returns what a robot observes in both tasks: itself, the other robot, the gate, and its number.
+fn observed() -> Features {
+    let mut features = Features::default();
+    features.push("own", 1, &POSE);
+    features.push("other", 1, &POSE);
+    features.push("gate", 1, &PLACE);
+    features.push("robot", 1, &[("first", "1", 0.0, 1.0), ("second", "1", 0.0, 1.0)]);
+    features
+}
+
+/// Returns the privileged state of both tasks: an observation, the robots' velocities and the time.
+fn privileged(observation: &Features) -> Features {
+    let mut features = observation.clone();
+    features.push("own_velocity", 1, &VELOCITY);
+    features.push("other_velocity", 1, &VELOCITY);
+    features.push("time", 1, &[("left", "episode", 0.0, 1.0)]);
+    features
 }
 
 /// A robot.

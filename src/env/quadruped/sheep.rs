@@ -5,12 +5,13 @@
 //! formulas. Friction, which the original's physics engine computes, is a decay of their speed here.
 
 use super::{
-    DECISION, PLACE, POSE, ROBOTS, Robot, TICK, Track, UNIT, VELOCITY, Wall, begin, commands, tick,
+    DECISION, PLACE, ROBOTS, Robot, TICK, Track, UNIT, Wall, begin, commands, observed, privileged,
+    tick,
 };
 use crate::env::frame::Frame;
 use crate::env::multi_agent::{MultiAgentEnv, Simple};
 use crate::env::picture::{Figure, FigureStatus, Picture};
-use crate::env::spec::{Better, EnvSpec, Features, OwnMetric};
+use crate::env::spec::{Better, EnvSpec, OwnMetric};
 use crate::rng::{self, Rng, Seed};
 
 /// Decisions of an episode: 15 s.
@@ -63,18 +64,9 @@ impl Default for SheepSurrogate {
 impl SheepSurrogate {
     /// Creates a world.
     pub fn new() -> Self {
-        let mut observation = Features::default();
-        let mut state = Features::default();
-        for features in [&mut observation, &mut state] {
-            features.push("own", 1, &POSE);
-            features.push("other", 1, &POSE);
-            features.push("gate", 1, &PLACE);
-            features.push("robot", 1, &[("first", "1", 0.0, 1.0), ("second", "1", 0.0, 1.0)]);
-            features.push("sheep", SHEEP, &PLACE);
-        }
-        state.push("own_velocity", 1, &VELOCITY);
-        state.push("other_velocity", 1, &VELOCITY);
-        state.push("time", 1, &[("left", "episode", 0.0, 1.0)]);
+        let mut observation = observed();
+        observation.push("sheep", SHEEP, &PLACE);
+        let mut state = privileged(&observation);
         let velocity = [("x", "m/s", -FASTEST as f32, FASTEST as f32), ("y", "m/s", -2.0, 2.0)];
         state.push("sheep_velocity", SHEEP, &velocity);
         let spec = EnvSpec {
