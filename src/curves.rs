@@ -102,6 +102,13 @@ pub fn mean_height(curve: &[(f64, f64)], end: f64) -> Option<f64> {
     Some((first.0 * first.1 + between.sum::<f64>() + (end - last.0) * last.1) / end)
 }
 
+/// Returns where a curve reached `level` for good: the place of its first point after which no point
+/// is lower. `None` if the last point is.
+pub fn reached_for_good(curve: &[(f64, f64)], level: f64) -> Option<f64> {
+    let high = curve.iter().rev().take_while(|(_, y)| *y >= level).count();
+    curve[curve.len() - high..].first().map(|(x, _)| *x)
+}
+
 /// Returns the mean curve of several runs of a metric with its 95 % interval, which contains
 /// only possible numbers; of a single run, the curve itself. A run that ended before the others keeps its
 /// last value.
@@ -136,5 +143,14 @@ mod tests {
         assert_eq!(mean_height(&curve, 50.0), Some(58.0));
         assert_eq!(mean_height(&curve, 30.0), mean_height(&curve, 40.0));
         assert_eq!(mean_height(&[], 5.0), None);
+    }
+
+    #[test]
+    fn a_level_is_reached_for_good_when_no_later_point_is_lower() {
+        let curve = [(1.0, 50.0), (2.0, 98.0), (3.0, 97.0), (4.0, 97.1), (5.0, 99.0)];
+        assert_eq!(reached_for_good(&curve, 97.1), Some(4.0));
+        assert_eq!(reached_for_good(&curve, 97.0), Some(2.0));
+        assert_eq!(reached_for_good(&curve, 99.5), None);
+        assert_eq!(reached_for_good(&[], 0.0), None);
     }
 }

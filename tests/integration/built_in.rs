@@ -10,7 +10,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::train::Trainer;
 use toml::Value;
 
-use crate::support::{folder, iwol};
+use crate::support::{folder, iwol, succeeds, text};
 
 #[path = "../../examples/own_env.rs"]
 #[allow(dead_code)]
@@ -228,4 +228,33 @@ fn reports_have_the_metrics_of_environments() {
     std::fs::write(&sweep, wrong).expect("written");
     let (fine, text) = play(&["sweep", "robots.toml", "--dry-run"]);
     assert!(!fine && text.contains("metric must be one of"), "{text}");
+}
+
+/// A benchmark of training says when a run reached the asked success, and that it did not.
+#[test]
+fn training_is_measured_until_it_succeeds() {
+    let measure = |success: &str| {
+        let mut command = iwol(&["bench", "train", "--environment", "navigation", "--json"]);
+        command.args(["--algorithm", "mappo", "--seeds", "2", "--success", success]);
+        for set in ["steps=96", "train.envs=2", "train.rollout_steps=16", "network.hidden=8"] {
+            command.args(["--set", set]);
+        }
+        command.args(["--set", "train.validate_every=32", "--set", "train.validation_episodes=2"]);
+        let lines = text(&succeeds(&mut command).stdout);
+        lines.lines().map(|line| serde_json::from_str(line).expect("JSON")).collect::<Vec<_>>()
+    };
+    let reached: Vec<serde_json::Value> = measure("0");
+    assert_eq!(
+        reached.iter().map(|row| row["seed"].as_u64()).collect::<Vec<_>>(),
+        [Some(0), Some(1)]
+    );
+    for row in &reached {
+        // Every validation reaches 0 %, so the first one does.
+        assert_eq!((row["reached_steps"].as_u64(), row["steps"].as_u64()), (Some(32), Some(96)));
+        let (until, whole) = (row["reached_seconds"].as_f64(), row["seconds"].as_f64());
+        assert!(Some(0.0) < until && until < whole, "{row}");
+    }
+    for row in measure("101") {
+        assert!(row["reached_steps"].is_null() && row["reached_seconds"].is_null(), "{row}");
+    }
 }

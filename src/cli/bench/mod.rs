@@ -1,4 +1,4 @@
-//! `iwol bench`: measures the speed of simulation, decisions and updates.
+//! `iwol bench`: measures the speed of simulation, decisions, updates and whole trainings.
 
 #![cfg(feature = "learn")]
 
@@ -6,12 +6,13 @@ mod act;
 mod compare;
 mod host;
 mod sim;
+mod train;
 mod update;
 mod workload;
 
 use super::Verdict;
 
-/// Measures the speed of simulation, decisions and updates.
+/// Measures the speed of simulation, decisions, updates and whole trainings.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(subcommand)]
@@ -26,15 +27,18 @@ enum What {
     Act(act::Act),
     /// Measure updates: time per rollout and per sample, ratio to the same networks in PyTorch.
     Update(update::Update),
+    /// Measure trainings: steps and seconds until validations succeed for good.
+    Train(train::Train),
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     match &args.what {
-        What::Sim(args) => sim::run(args),
-        What::Act(args) => act::run(args),
-        What::Update(args) => update::run(args),
+        What::Sim(args) => sim::run(args)?,
+        What::Act(args) => act::run(args)?,
+        What::Update(args) => update::run(args)?,
+        What::Train(args) => return train::run(args),
     }
-    .map(|()| Verdict::Good)
+    Ok(Verdict::Good)
 }
 
 fn median(values: &mut [f64]) -> f64 {
