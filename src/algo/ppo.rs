@@ -55,16 +55,12 @@ pub struct Ppo {
     #[default = 0.9]
     #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
     pub average: f64,
-    /// Discount per step.
-    #[default = 0.99]
+    /// Discount per step. It says what time is worth: at 0.99, arriving ten steps earlier outweighs a
+    /// crash risk of one in ten, and vehicles crash for it; at 0.998, vehicles take their time
+    /// (docs/lab/decision-process.md#the-discount).
+    #[default = 0.995]
     #[schemars(range(min = 0, max = 1))]
     pub gamma: f64,
-    /// Discount after `exploration.explore_steps`; 0: `ppo.gamma` throughout. A low discount keeps
-    /// vehicles moving early in training; a high one afterwards makes driving safe. At 0.99,
-    /// arriving ten steps earlier outweighs a crash risk of one in ten
-    /// (docs/lab/0.1.0.md#vehicles-that-steer).
-    #[schemars(range(min = 0, max = 1))]
-    pub gamma_explored: f64,
     /// λ of generalised advantage estimation.
     #[default = 0.95]
     #[schemars(range(min = 0, max = 1))]

@@ -84,7 +84,7 @@ fn lengths_follow_the_number_of_agents() {
     let searched = |c: &Config| {
         (c.train.repeat_failed, c.train.anneal_success, c.train.stop_success, c.learner.ppo.gamma)
     };
-    assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.99); 3]);
+    assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.995); 3]);
     assert_eq!(four.train.validation_episodes, 128);
     let shared = |name: &str| {
         number(&resolve(&format!("algorithm = '{name}'"), &[]).unwrap(), "reward", "cooperation")
@@ -100,8 +100,8 @@ fn vehicles_that_steer_have_defaults_of_their_own() {
     let five = resolve_on("parking_lot", "", &[]).unwrap();
     assert_eq!((five.learner.exploration.correlation, five.train.envs), (0.95, 25));
     assert_eq!(five.steps, 2_400_000 * 8 / 5);
-    let view = |c: &Config| (c.learner.ppo.gamma, c.learner.ppo.gamma_explored);
-    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), ((0.99, 0.995), (0.99, 0.0)));
+    let view = |c: &Config| c.learner.ppo.gamma;
+    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), (0.998, 0.995));
     assert_eq!(
         view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()),
         view(&five),
@@ -149,7 +149,7 @@ fn every_setting_is_documented_and_every_default_allowed() {
         let row = row.unwrap_or_else(|| panic!("{key} is not on the page"));
         assert!(row.matches(" | ").count() == 4 && !row.ends_with("|  |"), "{row}");
     }
-    assert!(page.contains("| `ppo.gamma` |  | 0 to 1 | `0.99` | Discount per step. |"));
+    assert!(page.contains("| `ppo.gae_lambda` |  | 0 to 1 | `0.95` |"));
     assert!(
         page.contains("| `train.batch_growth` |  | whole number, 1 to 64 | `1`; steering `4` |")
     );
@@ -188,8 +188,8 @@ fn each_value_has_an_origin() {
     let sets = ["algorithm=maddpg", "init_from=runs/any", "train.envs=3"];
     let resolved = layers_on("parking_lot", "seed = 4\n", &sets).resolve().unwrap();
     let origin = |key: &str| resolved.origins[key].to_string();
-    assert_eq!(origin("ppo.gamma"), "default");
-    assert_eq!(origin("ppo.gamma_explored"), "preset steering");
+    assert_eq!(origin("ppo.gae_lambda"), "default");
+    assert_eq!(origin("ppo.gamma"), "preset steering");
     assert_eq!(origin("train.anneal_steps"), "default for this number of agents");
     assert_eq!(origin("ppo.minibatch"), "default for this method");
     assert_eq!(origin("exploration.log_std_start"), "default for this init_from");

@@ -33,7 +33,7 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
     UpdateParameters {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, rate_share),
         log_std,
-        gamma: if explored && ppo.gamma_explored > 0.0 { ppo.gamma_explored } else { ppo.gamma },
+        gamma: ppo.gamma,
         batch_growth: if explored { config.train.batch_growth } else { 1 },
     }
 }
@@ -144,22 +144,6 @@ mod tests {
             update_parameters(&config, &Progress { step, ..Progress::default() }).batch_growth
         };
         assert_eq!([0, 399, 400, 1000].map(at), [1, 1, 4, 4]);
-    }
-
-    #[test]
-    fn the_discount_rises_when_the_noise_is_small() {
-        let mut config = config();
-        let at = |config: &Config, step| {
-            update_parameters(config, &Progress { step, ..Progress::default() }).gamma.to_bits()
-        };
-        let bits = |gamma: [f64; 3]| gamma.map(f64::to_bits);
-        assert_eq!(
-            [0, 399, 400].map(|step| at(&config, step)),
-            bits([0.99; 3]),
-            "by default it stays"
-        );
-        config.learner.ppo.gamma_explored = 0.998;
-        assert_eq!([0, 399, 400].map(|step| at(&config, step)), bits([0.99, 0.99, 0.998]));
     }
 
     /// Simulates a run in iterations of 10 steps, in which `success` gives the success of each
