@@ -108,16 +108,10 @@ pub struct Train {
     #[schemars(range(min = 1, max = 1024))]
     pub envs: usize,
     /// Number T of steps per rollout and world. A rollout has at most 2^24 samples: `rollout_steps`
-    /// × `batch_growth` × `envs` × `agents`.
+    /// × `envs` × `agents`.
     #[default = 128]
     #[schemars(range(min = 1, max = 100_000))]
     pub rollout_steps: usize,
-    /// Factor on the steps of a rollout and on the samples of a minibatch once the noise has fallen
-    /// (after `exploration.explore_steps`). Small batches are themselves noisy and can make the
-    /// performance of a nearly successful policy collapse. 1: no change, as always with MADDPG.
-    #[default = 1]
-    #[schemars(range(min = 1, max = 64))]
-    pub batch_growth: usize,
     /// Least number of agents in an episode. Each episode of training and validation has a random
     /// number of agents, from this one to `agents`, on the same net, so that the policy learns to
     /// drive among any number. 0: always all agents.

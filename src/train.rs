@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::{Kind, Tensor};
 
-use crate::algo::{Algorithm, Losses, UpdateParameters};
+use crate::algo::{Algorithm, Losses};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{Environment, EpisodeRecord, WorldState, Worlds};
@@ -32,7 +32,7 @@ use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, eva
 use crate::fnv::Fnv;
 use crate::ranks::{Ranks, Team};
 use crate::rng::Seed;
-use crate::rollout::{Rollout, Sizes};
+use crate::rollout::Rollout;
 
 pub use error::Error;
 use files::Files;
@@ -162,15 +162,10 @@ impl Trainer {
     pub fn iterate(&mut self) -> Result<Losses, Error> {
         let begin = Instant::now();
         let seed = self.seed.child("iteration").index(self.progress.iteration);
-        self.grow();
         self.collect(seed.child("noise"))?;
         let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
         schedule::advance(&self.config, &mut self.progress, steps);
-        let batch_growth = self.rollout.sizes.steps / self.config.train.rollout_steps;
-        let parameters = UpdateParameters {
-            batch_growth,
-            ..schedule::update_parameters(&self.config, &self.progress)
-        };
+        let parameters = schedule::update_parameters(&self.config, &self.progress);
         let learner = &mut self.learner;
         let losses = timed(&mut self.timers.update, || {
             learner.update(&self.rollout, &parameters, seed.child("update"))
@@ -197,17 +192,6 @@ impl Trainer {
         let all = self.ranks.all_gather(&hash.value().to_ne_bytes());
         let same = all.iter().all(|other| *other == all[0]);
         same.then_some(()).ok_or(Error::Diverged { iteration: self.progress.iteration })
-    }
-
-    /// Resizes the rollout to the number of steps that the next iteration takes.
-    fn grow(&mut self) {
-        let steps = self.config.train.rollout_steps
-            * schedule::update_parameters(&self.config, &self.progress).batch_growth;
-        if steps != self.rollout.sizes.steps {
-            let Rollout { cooperation, bootstrap_horizon, .. } = self.rollout;
-            let empty = Rollout::new(Sizes { steps, ..self.rollout.sizes });
-            self.rollout = Rollout { cooperation, bootstrap_horizon, ..empty };
-        }
     }
 
     /// Evaluates the averaged weights with deterministic actions on the validation seeds, which are

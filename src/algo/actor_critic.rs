@@ -308,18 +308,13 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
-        batch.estimate(
-            rollout,
-            &outputs,
-            &self.value_norm,
-            [parameters.gamma, ppo.gae_lambda],
-            N::TEAM,
-        );
+        batch.estimate(rollout, &outputs, &self.value_norm, [ppo.gamma, ppo.gae_lambda], N::TEAM);
         let mut means = Means::default();
-        let size = ppo.minibatch * parameters.batch_growth;
         for epoch in 0..ppo.epochs {
             let order = seed.child("epoch").index(epoch as u64);
-            for shards in minibatches(rollout, length, size, self.shards, self.device, order) {
+            for shards in
+                minibatches(rollout, length, ppo.minibatch, self.shards, self.device, order)
+            {
                 let rate = |group| N::rate(group, epoch, parameters.learning_rate);
                 means.add(&self.step(&batch, shards, rate)?);
             }

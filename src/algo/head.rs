@@ -36,10 +36,9 @@ pub struct Exploration {
     #[schemars(range(max = 1_u64 << 50))]
     pub explore_steps: u64,
     /// Correlation of the noise of actions from step to step (first-order autoregressive, of
-    /// constant variance) until annealing begins; then there is none. Correlated noise moves a
-    /// vehicle further from its mean trajectory and so finds other orders of passing; but vehicles
-    /// that must allow for it drive slowly (Hollenstein et al., AAAI 2024). Probabilities of
-    /// actions are conditional on the noise of the step before.
+    /// constant variance). Correlated noise moves a vehicle further from its mean trajectory and so
+    /// finds other orders of passing; but vehicles that must allow for it drive slowly (Hollenstein
+    /// et al., AAAI 2024). Probabilities of actions are conditional on the noise of the step before.
     #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
     pub correlation: f64,
 }

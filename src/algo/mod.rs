@@ -260,10 +260,6 @@ pub struct UpdateParameters {
     /// Logarithm of the actions' standard deviation that the update leaves in the policy, where a
     /// schedule imposes it. Its exponential also scales the graph noise that the update draws.
     pub log_std: f64,
-    /// Discount per step.
-    pub gamma: f64,
-    /// Factor on the number of samples per minibatch.
-    pub batch_growth: usize,
 }
 
 /// Named diagnostics of an update, under the names that are usual in the field.

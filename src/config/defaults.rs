@@ -114,7 +114,6 @@ impl Config {
     fn follow_method(&mut self, algorithm: &str) {
         let Ok(method) = algo::capabilities(algorithm) else { return };
         if !method.on_policy {
-            self.train.batch_growth = 1;
             // Samples of a replay buffer are used many times; half as many at once take about half
             // the time.
             self.learner.ppo.minibatch /= 2;

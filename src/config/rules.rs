@@ -12,24 +12,16 @@ impl Config {
     pub(super) fn broken_rule(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (train, learner) = (&self.train, &self.learner);
         let algo::Settings { network, ppo, exploration, .. } = learner;
-        let samples = train
-            .envs
-            .saturating_mul(train.rollout_steps)
-            .saturating_mul(train.batch_growth)
-            .saturating_mul(self.agents as usize);
+        let samples =
+            train.envs.saturating_mul(train.rollout_steps).saturating_mul(self.agents as usize);
         let method = algo::capabilities(&self.algorithm).ok();
         let on_policy = method.is_none_or(|method| method.on_policy);
         let recurrent = network.encoder == settings::EncoderKind::Gru;
         let rules: [(&'static [&'static str], bool, &'static str); _] = [
             (
-                &["train.rollout_steps", "train.batch_growth", "train.envs", "agents"],
+                &["train.rollout_steps", "train.envs", "agents"],
                 samples <= MOST_SAMPLES,
-                "at most 2^24 samples per rollout (rollout_steps × batch_growth × envs × agents)",
-            ),
-            (
-                &["train.batch_growth", "algorithm"],
-                train.batch_growth == 1 || on_policy,
-                "1 with MADDPG, which learns from a replay buffer",
+                "at most 2^24 samples per rollout (rollout_steps × envs × agents)",
             ),
             (
                 &["network.chunk_length", "train.rollout_steps", "network.encoder"],

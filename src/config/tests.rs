@@ -107,7 +107,7 @@ fn vehicles_that_steer_have_defaults_of_their_own() {
         view(&five),
         "one task for all"
     );
-    assert_eq!((five.train.repeat_failed, five.train.anneal_success), (0.5, 0.9));
+    assert_eq!((five.train.repeat_failed, five.train.anneal_success), (0.5, 0.95));
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn every_setting_is_documented_and_every_default_allowed() {
     }
     assert!(page.contains("| `ppo.gae_lambda` |  | 0 to 1 | `0.95` |"));
     assert!(
-        page.contains("| `train.batch_growth` |  | whole number, 1 to 64 | `1`; steering `4` |")
+        page.contains("| `exploration.correlation` |  | 0 to below 1 | `0.0`; steering `0.95` |")
     );
     assert!(page.contains("| `scenario` |  | text | required |"));
     assert!(page.contains("| `network.encoder` |  | `attention`, `gru`, `mlp` | `mlp` |"));

@@ -22,14 +22,14 @@ impl Trainer {
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // The noise starts anew in each iteration: it depends on the iteration's number alone.
         let discrete = s.choices > 0;
-        let correlation =
-            if discrete { 0.0 } else { schedule::correlation(&self.config, &self.progress) };
+        let exploration = &self.config.learner.exploration;
+        let correlation = if discrete { 0.0 } else { exploration.correlation as f32 };
         let mut noise = CorrelatedNoise::new(s.envs * s.agents * s.actions, correlation);
         let correlated = noise.is_correlated();
         self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
         self.rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
-        let imposed = self.config.learner.exploration.mode == NoiseMode::Schedule;
+        let imposed = exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed {
             schedule::update_parameters(&self.config, &self.progress).log_std as f32
         } else {

@@ -13,8 +13,7 @@ use crate::config::Config;
 /// Number of validations that decide whether to stop (`train.stop_success`).
 const STOP_VALIDATIONS: usize = 4;
 
-/// Returns the parameters of the next update: learning rate, noise, discount and
-/// batch growth.
+/// Returns the parameters of the next update: learning rate and noise.
 pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateParameters {
     let (noise, ppo) = (&config.learner.exploration, &config.learner.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
@@ -26,27 +25,13 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
         ramp(progress.step, noise.explore_steps),
     );
     let log_std = between(exploring, noise.log_std_end.min(exploring), noise_share);
-    let explored = progress.step >= noise.explore_steps;
     // A step of the same size changes a policy with less noise more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
     let follow = if follows { log_std.exp() } else { 1.0 };
     UpdateParameters {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, rate_share),
         log_std,
-        gamma: ppo.gamma,
-        batch_growth: if explored { config.train.batch_growth } else { 1 },
     }
-}
-
-/// Returns the correlation of the noise from step to step; 0 once annealing has begun.
-pub(super) fn correlation(config: &Config, progress: &Progress) -> f32 {
-    if searching(progress) { config.learner.exploration.correlation as f32 } else { 0.0 }
-}
-
-/// Returns whether the policy still explores: annealing has not begun, or failed validations took
-/// it back.
-fn searching(progress: &Progress) -> bool {
-    !progress.annealing && progress.annealed == 0
 }
 
 fn ramp(at: u64, length: u64) -> f64 {
@@ -134,16 +119,6 @@ mod tests {
             (0.9, 200, 50);
         config.train.stop_success = 0.95;
         config
-    }
-
-    #[test]
-    fn batches_grow_when_the_noise_is_small() {
-        let mut config = config();
-        config.train.batch_growth = 4;
-        let at = |step| {
-            update_parameters(&config, &Progress { step, ..Progress::default() }).batch_growth
-        };
-        assert_eq!([0, 399, 400, 1000].map(at), [1, 1, 4, 4]);
     }
 
     /// Simulates a run in iterations of 10 steps, in which `success` gives the success of each
@@ -269,25 +244,6 @@ mod tests {
             Progress { step: 990, annealed: 200, annealing: true, ..Progress::default() };
         validated(&config, &mut close, 0.92);
         assert_eq!(close.annealed, 190);
-    }
-
-    #[test]
-    fn noise_is_correlated_until_annealing_begins() {
-        let mut config = config();
-        config.learner.exploration.correlation = 0.5;
-        let mut seen = Vec::new();
-        // Success at 300, failure at 350, enough for annealing from 400 on, failure once annealed.
-        let success = |progress: &Progress| match progress.step {
-            300 => 1.0,
-            400..550 => 0.92,
-            _ => 0.0,
-        };
-        play(&config, success, |progress, _| {
-            seen.push((progress.step, correlation(&config, progress)));
-        });
-        let at = |step: u64| seen.iter().find(|(s, _)| *s == step).expect("was seen").1;
-        assert_eq!([300, 310, 360, 540].map(at), [0.5, 0.0, 0.0, 0.0]);
-        assert_eq!(at(560), 0.5, "it explores again");
     }
 
     #[test]

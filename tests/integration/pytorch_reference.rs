@@ -308,7 +308,7 @@ fn maddpg() {
         metrics: Vec::new(),
     };
     let mut settings = small();
-    (settings.maddpg.updates, settings.ppo.average) = (1, 0.0);
+    (settings.maddpg.updates, settings.ppo.average, settings.ppo.gamma) = (1, 0.0, 0.97);
     let mut learner = case.learner("maddpg", &spec, &settings, 2);
 
     // The buffer holds a single step, so that all transitions drawn are equal.
@@ -333,8 +333,7 @@ fn maddpg() {
     for (place, there) in numbers("there").into_iter().enumerate() {
         rollout.comm[place * agents + place % agents] = there;
     }
-    let parameters =
-        UpdateParameters { learning_rate: 0.01, log_std: -1.0, gamma: 0.97, batch_growth: 1 };
+    let parameters = UpdateParameters { learning_rate: 0.01, log_std: -1.0 };
     let losses = learner.update(&rollout, &parameters, Seed::new(2)).expect("finite");
     let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
     let found =

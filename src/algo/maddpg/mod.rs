@@ -302,12 +302,11 @@ impl Algorithm for Maddpg {
     ) -> Result<Losses, Error> {
         self.replay.add(rollout);
         let rows = (self.settings.ppo.minibatch / rollout.sizes.agents).max(1);
-        let returns = self.settings.maddpg.n_step;
+        let (returns, gamma) = (self.settings.maddpg.n_step, self.settings.ppo.gamma);
         let mut means = Means::default();
         for update in 0..self.settings.maddpg.updates {
             let seed = seed.index(update as u64);
-            let steps =
-                self.replay.draw(rows, returns, parameters.gamma, &mut seed.child("steps").rng());
+            let steps = self.replay.draw(rows, returns, gamma, &mut seed.child("steps").rng());
             let losses = self.step(&steps, parameters, seed.child("graph"))?;
             if !losses.is_empty() {
                 means.add(&losses);

@@ -136,8 +136,6 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         let parameters = UpdateParameters {
             learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
             log_std: -0.5 - share,
-            gamma: 0.99,
-            batch_growth: 1,
         };
         learner.update(&rollout, &parameters, Seed::new(3).index(update)).expect("finite");
     }
@@ -192,15 +190,14 @@ fn values_do_not_feed_on_their_own_normalisation() {
     const GAMMA: f64 = 0.9;
     for name in ["maddpg", "maddpg-iwol"] {
         let mut settings = small(EncoderKind::Mlp);
-        (settings.ppo.average, settings.maddpg.updates) = (0.0, 100);
+        (settings.ppo.average, settings.ppo.gamma, settings.maddpg.updates) = (0.0, GAMMA, 100);
         let mut learner = build(name, &spec(2), &settings, 1);
         let mut rollout = random_rollout(&*learner, 2, 3);
         rollout.reward.fill(1.0);
         rollout.active.fill(1.0);
         rollout.comm.fill(1.0);
         rollout.terminated.fill(0.0);
-        let parameters =
-            UpdateParameters { learning_rate: 3e-3, log_std: -1.0, gamma: GAMMA, batch_growth: 1 };
+        let parameters = UpdateParameters { learning_rate: 3e-3, log_std: -1.0 };
         let input = observation(&*learner, noise(4, &[1, 2, 4]), complete(1, 2));
         let state = noise(5, &[1, 2, 3]);
         let mut values = Vec::new();
