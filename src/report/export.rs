@@ -8,8 +8,9 @@ use crate::curves;
 use crate::metrics::{self, SUCCESS, Shown};
 use crate::sweep::Sweep;
 
-/// Returns the metrics of every run, with a description of the run.
-pub(super) fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Value {
+/// Returns the metrics of every run, with a description of the run, as JSON with one line per run and
+/// evaluation.
+pub(super) fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> String {
     let mut rows = Vec::new();
     for block in blocks {
         for line in &block.series {
@@ -30,7 +31,9 @@ pub(super) fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Val
             }
         }
     }
-    json!({ "sweep": sweep.name, "command": command, "rows": rows })
+    let rows = rows.iter().map(Value::to_string).collect::<Vec<_>>().join(",\n");
+    let (name, command) = (json!(sweep.name), json!(command));
+    format!("{{\"sweep\":{name},\"command\":{command},\"rows\":[\n{rows}\n]}}\n")
 }
 
 /// Returns the results in the format of marl-eval: environment, task, algorithm, run, then steps

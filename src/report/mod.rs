@@ -105,7 +105,7 @@ pub fn write(
     };
     save("report.md", document.markdown().as_bytes())?;
     save("report.html", document.html()?.as_bytes())?;
-    save("summary.json", format!("{:#}\n", export::summary(sweep, &blocks, command)).as_bytes())?;
+    save("summary.json", export::summary(sweep, &blocks, command).as_bytes())?;
     save("marl_eval.json", format!("{}\n", export::marl_eval(&blocks[0])?).as_bytes())?;
     Ok(written)
 }
