@@ -104,11 +104,11 @@ pub(super) fn run(args: &Train) -> anyhow::Result<Verdict> {
         if team.stop.load(Ordering::Relaxed) {
             return Ok(Verdict::Interrupted);
         }
-        row.print(args.json)?;
         if rows.last().is_some_and(|last| last.algorithm != row.algorithm) {
             summarise(&rows, args.json);
             rows.clear();
         }
+        row.print(args.json)?;
         rows.push(row);
     }
     summarise(&rows, args.json);
