@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 use anyhow::Context as _;
-use iwol_sumo::config::{Config, Document, Layers, Resolution};
+use iwol_sumo::config::{Document, Layers, Resolution};
 use iwol_sumo::curves::{self, Along, Line};
 use iwol_sumo::driving;
 use iwol_sumo::metrics::SUCCESS;
@@ -135,7 +135,6 @@ impl Train {
 /// Trains until the run is solved or has taken all its steps.
 fn measure(success: f64, seed: u64, resolution: Resolution, team: &Team) -> anyhow::Result<Row> {
     let Resolution { config, place, .. } = resolution;
-    let config: Config = config;
     let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let dir = RunDir::new(folder.path());
     let begin = Instant::now();

@@ -12,6 +12,23 @@ use super::{
     reported, rollout_with, small, spec,
 };
 
+/// Every method learns with the discount of its settings.
+#[test]
+fn the_discount_of_the_settings_counts() {
+    for name in algo::NAMES {
+        let after = |gamma: f64| {
+            let mut settings = small(EncoderKind::Mlp);
+            settings.ppo.gamma = gamma;
+            let mut learner = loud(name, &spec(4), &settings);
+            let rollout = random_rollout(&*learner, 4, 3);
+            learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            bits(&*learner)
+        };
+        assert_eq!(after(0.9), after(0.9), "{name}");
+        assert_ne!(after(0.9), after(0.99), "{name}");
+    }
+}
+
 #[test]
 fn updates_are_deterministic_and_move_every_network() {
     each(|name, encoder| {
