@@ -254,7 +254,13 @@ fn training_is_measured_until_it_succeeds() {
         let (until, whole) = (row["reached_seconds"].as_f64(), row["seconds"].as_f64());
         assert!(Some(0.0) < until && until < whole, "{row}");
     }
-    for row in measure("101") {
+    for row in measure("100") {
         assert!(row["reached_steps"].is_null() && row["reached_seconds"].is_null(), "{row}");
+    }
+    for slip in ["0.971", "101", "nan", "-1"] {
+        let output = iwol(&["bench", "train", &format!("--success={slip}")]).output();
+        let output = output.expect("it runs");
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains("1 to 100 (per cent)"), "{slip}: {said}");
     }
 }

@@ -38,7 +38,7 @@ pub(super) struct Train {
     seeds: u16,
     /// Success in % that a run has reached for good from the first validation on after which no
     /// validation of the run is lower
-    #[arg(long, default_value_t = 97.1)]
+    #[arg(long, default_value_t = 97.1, value_parser = percentage)]
     success: f64,
     /// One setting, e.g. --set ppo.shards=1. The option may be repeated
     #[arg(long, value_name = "KEY=VALUE")]
@@ -46,6 +46,13 @@ pub(super) struct Train {
     /// Print JSON lines instead of a table
     #[arg(long)]
     json: bool,
+}
+
+/// Reads a percentage. A share, such as 0.971, is more likely a slip than a success of less than 1 %.
+fn percentage(text: &str) -> Result<f64, String> {
+    let number: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
+    let allowed = number == 0.0 || (1.0..=100.0).contains(&number);
+    allowed.then_some(number).ok_or_else(|| "allowed: 0, and 1 to 100 (per cent)".to_owned())
 }
 
 /// One run.
