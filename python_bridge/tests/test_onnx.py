@@ -96,6 +96,22 @@ def test_a_model_of_maddpg_plays_the_same_episodes_as_the_program(exported_maddp
     assert [found["metrics"]["reward"]["mean"], by_program] == pytest.approx([wanted] * 2, rel=1e-4)
 
 
+def test_a_model_of_choices_decides_as_pytorch(tmp_path):
+    pytest.importorskip("torch")
+    from iwol_sumo.policies import load_policy
+
+    folder, file = ROOT / "policies/traffic-junction-ex-iwol", tmp_path / "policy.onnx"
+    out = iwol("export", folder, "--onnx", file)
+    assert out.returncode == 0, out.stderr
+    model = OnnxPolicy(file)
+    assert model.description["environment"] == "traffic_junction"
+    rng = np.random.default_rng(0)
+    observation = rng.uniform(0, 1, (100, 20, len(model.description["observation"]))).astype(np.float32)
+    comm = np.broadcast_to(np.eye(20, dtype=np.float32), (100, 20, 20)).copy()
+    difference = np.abs(model(observation, comm) - load_policy(folder)(observation, comm))
+    assert difference.shape[-1] == len(model.description["actions"]) and difference.max() < 1e-4
+
+
 def test_what_has_no_model_is_refused(tmp_path):
     file = tmp_path / "policy.onnx"
     assert iwol("export", ROOT / "policies/mappo-8", "--onnx", file).returncode == 0

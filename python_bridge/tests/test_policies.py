@@ -29,6 +29,14 @@ def test_a_policy_plays_the_same_episodes_as_in_the_program(name):
         assert found[metric]["mean"] == pytest.approx(wanted[metric]["mean"], rel=1e-4), metric
 
 
+def test_a_policy_with_discrete_actions_gives_logits():
+    policy = load_policy(POLICIES / "traffic-junction-ex-iwol")
+    width = policy.weights["encoder/mlp/layers/0/linear/weight"].shape[1]
+    observation = np.random.default_rng(0).uniform(0, 1, (3, 10, width)).astype(np.float32)
+    logits = policy(observation, np.ones((3, 10, 10), np.float32))
+    assert logits.shape == (3, 10, 2) and logits.std() > 0.1
+
+
 def test_other_methods_and_files_are_refused(tmp_path):
     with pytest.raises(iwol_sumo.Error, match="cannot load the policy .*No such file"):
         load_policy(tmp_path)

@@ -1,9 +1,10 @@
 //! Policies as ONNX models, for use outside of this program. The graph computes the actions of
-//! trained policies as they act in evaluations: deterministic, within -1..=1.
+//! trained policies as they act in evaluations, without noise.
 //!
 //! - inputs: `observation [batch, agents, O]`; for methods that send messages also
 //!   `comm [batch, agents, agents]`, 1 where two agents are within radio range, receiver first
-//! - output: `action [batch, agents, A]`
+//! - output: `action [batch, agents, A]`, within -1..=1; where actions are discrete,
+//!   `logits [batch, agents, K]`, of whose choices the largest that is open counts
 
 use std::collections::HashMap;
 
@@ -12,7 +13,7 @@ use tch::{Kind, Tensor};
 use super::Settings;
 use super::encoder::EncoderKind;
 use super::networks::HEADS;
-use crate::env::EnvSpec;
+use crate::env::{ActionSpace, EnvSpec};
 use crate::onnx::{Attribute, Dimension, Graph, Value};
 
 /// Methods that have an ONNX model.
@@ -56,16 +57,29 @@ pub fn graph(
         }
         _ => return None,
     };
-    let mean = writer.linear("head.mean", &read);
-    let action = if algorithm.starts_with("maddpg") {
-        writer.graph.apply("Tanh", &[&mean])
-    } else {
-        let (low, high) = (writer.graph.number(-1.0), writer.graph.number(1.0));
-        writer.graph.apply("Clip", &[&mean, &low, &high])
+    let action = match &spec.actions {
+        ActionSpace::Discrete(_) => writer.linear("head.logits", &read),
+        ActionSpace::Continuous(_) => {
+            let mean = writer.linear("head.mean", &read);
+            if algorithm.starts_with("maddpg") {
+                writer.graph.apply("Tanh", &[&mean])
+            } else {
+                let (low, high) = (writer.graph.number(-1.0), writer.graph.number(1.0));
+                writer.graph.apply("Clip", &[&mean, &low, &high])
+            }
+        }
     };
-    let width = Dimension::Fixed(spec.actions.len());
-    writer.graph.output("action", &action, &[any, agents, width]);
+    let width = Dimension::Fixed(spec.actions.encoded());
+    writer.graph.output(output(&spec.actions), &action, &[any, agents, width]);
     Some(writer.graph)
+}
+
+/// Returns the name of a model's output.
+pub fn output(actions: &ActionSpace) -> &'static str {
+    match actions {
+        ActionSpace::Continuous(_) => "action",
+        ActionSpace::Discrete(_) => "logits",
+    }
 }
 
 /// Writes the layers of the networks.

@@ -8,7 +8,7 @@ use anyhow::{Context as _, bail};
 use iwol_sumo::algo::onnx;
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Document, Layers, TaskSource};
-use iwol_sumo::env::{Feature, Features, Task};
+use iwol_sumo::env::{ActionSpace, EnvSpec, Feature, Features, Task};
 use iwol_sumo::onnx::Graph;
 use iwol_sumo::provenance::Program;
 use iwol_sumo::record;
@@ -87,7 +87,7 @@ fn write_pytorch(mut checkpoint: Checkpoint, run: &Path, dir: &Path) -> anyhow::
 /// A policy for use outside of this program.
 struct Exported {
     graph: Graph,
-    /// The method, the scenario, and what the numbers of observations and actions mean.
+    /// The method, the task, and what the numbers of observations and actions mean.
     description: serde_json::Value,
 }
 
@@ -97,12 +97,21 @@ impl Exported {
         let document = Document::of_run(source, checkpoint.config.clone());
         let resolved = Layers { document, ..Layers::default() }.resolve()?;
         let (config, place) = (resolved.config, resolved.place);
-        let TaskSource::Scenario(scenario) = place else {
-            bail!("policies of environments without SUMO cannot be written as ONNX or for PyTorch");
+        let (spec, task) = match &place {
+            TaskSource::Scenario(scenario) => {
+                let about = json!({
+                    "scenario": scenario.name,
+                    "interval": scenario.control.interval,
+                    "communication_range": scenario.communication.range,
+                });
+                (Task::new(scenario, config.agents)?.spec, about)
+            }
+            TaskSource::BuiltIn(built_in) => {
+                (built_in.environment().spec().clone(), json!({ "environment": built_in.name }))
+            }
         };
-        let task = Task::new(&scenario, config.agents)?;
         let algorithm = &checkpoint.algorithm;
-        let graph = onnx::graph(algorithm, &task.spec, &config.learner, &checkpoint.learner);
+        let graph = onnx::graph(algorithm, &spec, &config.learner, &checkpoint.learner);
         let graph = graph.with_context(|| {
             format!(
                 "{algorithm} with the encoder of this run cannot be exported to ONNX or PyTorch; methods that can: {}, with network.encoder = \"mlp\"",
@@ -113,18 +122,29 @@ impl Exported {
             let row = |f: &Feature| json!({ "name": f.name, "unit": f.unit, "low": f.low, "high": f.high });
             features.list.iter().map(row).collect::<Vec<_>>()
         };
-        let actions = task.spec.actions.names().into_iter();
-        let actions = actions.map(|a| json!({ "name": a, "low": -1.0, "high": 1.0 }));
-        let description = json!({
+        let mut description = json!({
             "algorithm": algorithm,
-            "scenario": scenario.name,
-            "interval": scenario.control.interval,
-            "communication_range": scenario.communication.range,
-            "observation": features(&task.spec.observation),
-            "actions": actions.collect::<Vec<_>>(),
+            "observation": features(&spec.observation),
+            "actions": actions(&spec),
             "program": Program::current(),
         });
+        for (key, value) in task.as_object().into_iter().flatten() {
+            description[key] = value.clone();
+        }
         Ok(Self { graph, description })
+    }
+}
+
+/// Describes the numbers of a continuous action, or the choices of a discrete one.
+fn actions(spec: &EnvSpec) -> Vec<serde_json::Value> {
+    match &spec.actions {
+        ActionSpace::Continuous(_) => {
+            let names = spec.actions.names().into_iter();
+            names.map(|name| json!({ "name": name, "low": -1.0, "high": 1.0 })).collect()
+        }
+        ActionSpace::Discrete(choices) => {
+            choices.iter().map(|name| json!({ "name": name })).collect()
+        }
     }
 }
 

@@ -2,7 +2,7 @@
 //!
 //! Inputs and output are those of the models that `iwol export --onnx` writes (`algo/onnx.rs`):
 //! `observation [batch, agents, O]`, if the model has it `comm [batch, agents, agents]`, and
-//! `action [batch, agents, A]`.
+//! `action [batch, agents, A]`, or `logits [batch, agents, K]` where actions are discrete.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -11,7 +11,8 @@ use rten::{Dimension, Model, NodeId, RunOptions, ThreadPool, ValueView};
 use serde_json::Value;
 
 use super::{Actor, Controller, WORLDS};
-use crate::env::{self, EnvSpec, Worlds};
+use crate::algo::onnx;
+use crate::env::{self, ActionSpace, EnvSpec, Frame, Worlds};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::Seed;
 
@@ -30,10 +31,13 @@ pub struct OnnxPolicy {
     model: Model,
     observation: NodeId,
     comm: Option<NodeId>,
+    /// The node of the actions or of the logits.
     action: NodeId,
+    /// Whether actions are discrete.
+    discrete: bool,
     /// Number of worlds of one run of the model: what the file says, or else [`WORLDS`].
     batch: usize,
-    /// N, O and A.
+    /// N, O, and A or K.
     sizes: [usize; 3],
     options: RunOptions,
 }
@@ -56,7 +60,7 @@ impl OnnxPolicy {
         }
         std::fs::File::open(file).map_err(|error| format!("cannot be read: {error}"))?;
         let model = Model::load_file(file).map_err(|error| format!("is no ONNX model: {error}"))?;
-        let sizes @ [n, o, a] = [spec.agents, spec.observation.len(), spec.actions.len()];
+        let sizes @ [n, o, a] = [spec.agents, spec.observation.len(), spec.actions.encoded()];
         let named = |nodes: &[NodeId], name: &str| {
             let of = |node: &&NodeId| model.node_info(**node).and_then(|node| node.name());
             nodes.iter().find(|node| of(node) == Some(name)).copied()
@@ -74,11 +78,13 @@ impl OnnxPolicy {
             observation
                 .filter(|_| inputs.len() == 1 + usize::from(comm.is_some()))
                 .ok_or_else(|| format!("has the inputs {}; allowed: {expected}", names(inputs)))?;
-        let action = named(outputs, "action")
-            .ok_or_else(|| format!("has the outputs {}, but none called action", names(outputs)))?;
+        let output = onnx::output(&spec.actions);
+        let action = named(outputs, output).ok_or_else(|| {
+            format!("has the outputs {}, but none called {output}", names(outputs))
+        })?;
         let mut batch = WORLDS;
         let parts = [Some(("observation", observation, o)), comm.map(|comm| ("comm", comm, n))];
-        for (name, node, width) in parts.into_iter().flatten().chain([("action", action, a)]) {
+        for (name, node, width) in parts.into_iter().flatten().chain([(output, action, a)]) {
             let Some(shape) = model.node_info(node).and_then(|node| node.shape()) else { continue };
             let [first, agents, numbers] = &shape[..] else {
                 return Err(format!("{name} has {} dimensions instead of 3", shape.len()));
@@ -92,7 +98,7 @@ impl OnnxPolicy {
             }
             if let Some(size) = differs(numbers, width) {
                 return Err(format!(
-                    "{name} has {size} numbers per agent; the scenario and its settings define {width}"
+                    "{name} has {size} numbers per agent; the task and its settings define {width}"
                 ));
             }
             if let Dimension::Fixed(size) = first {
@@ -105,12 +111,13 @@ impl OnnxPolicy {
         // Networks are small: threads would wait for each other.
         let pool = Arc::new(ThreadPool::with_num_threads(1));
         let options = RunOptions::default().with_thread_pool(Some(pool));
-        let policy = Self { model, observation, comm, action, batch, sizes, options };
+        let discrete = matches!(spec.actions, ActionSpace::Discrete(_));
+        let policy = Self { model, observation, comm, action, discrete, batch, sizes, options };
         policy.run(&vec![0.0; batch * n * o], &vec![0.0; batch * n * n])?;
         Ok(policy)
     }
 
-    /// Returns the actions `[batch, N, A]` for `observation [batch, N, O]` and `comm [batch, N,
+    /// Returns the actions `[batch, N, A]` or the logits `[batch, N, K]` for `observation [batch, N, O]` and `comm [batch, N,
     /// N]`.
     fn run(&self, observation: &[f32], comm: &[f32]) -> Result<Vec<f32>, String> {
         let (batch, [n, o, a]) = (self.batch, self.sizes);
@@ -138,22 +145,23 @@ fn compare_names(text: &str, spec: &EnvSpec) -> Result<(), String> {
     let metadata: Value = serde_json::from_str(text)
         .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
     let observation = spec.observation.list.iter().map(|feature| feature.name.as_str());
-    let actions = spec.actions.names().into_iter();
-    for (part, ours) in
-        [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())]
-    {
+    let actions = match &spec.actions {
+        ActionSpace::Continuous(_) => spec.actions.names(),
+        ActionSpace::Discrete(choices) => choices.clone(),
+    };
+    for (part, ours) in [("observation", observation.collect::<Vec<_>>()), ("actions", actions)] {
         let Some(rows) = metadata[part].as_array() else { continue };
         let theirs: Vec<&str> = rows.iter().filter_map(|row| row["name"].as_str()).collect();
         if theirs.len() != ours.len() {
             return Err(format!(
-                "the metadata name {} numbers of {part}; the scenario and its settings define {}",
+                "the metadata name {} numbers of {part}; the task and its settings define {}",
                 theirs.len(),
                 ours.len()
             ));
         }
         if let Some(at) = (0..ours.len()).find(|&at| theirs[at] != ours[at]) {
             return Err(format!(
-                "number {at} of {part} is `{}`; by the scenario and its settings it is `{}`",
+                "number {at} of {part} is `{}`; by the task and its settings it is `{}`",
                 theirs[at], ours[at]
             ));
         }
@@ -199,21 +207,36 @@ impl Actor for OnnxActor<'_> {
             observation[e * n * o..][..n * o].copy_from_slice(&frame.observation);
             comm[e * n * n..][..n * n].copy_from_slice(&frame.comm);
         }
+        let mut rows = actions.chunks_mut(if policy.discrete { 1 } else { a });
+        let frames = (0..worlds.count()).map(|e| worlds.view(e).frame);
+        let mut agents = frames.flat_map(|frame| (0..n).map(move |i| (frame, i)));
         let batches = observation.chunks(policy.batch * n * o);
         let batches = batches.zip(comm.chunks(policy.batch * n * n));
-        for ((observation, comm), actions) in batches.zip(actions.chunks_mut(policy.batch * n * a))
-        {
-            let chosen = policy.run(observation, comm).map_err(env::Error::Policy)?;
-            actions.copy_from_slice(&chosen[..actions.len()]);
-        }
-        let active = (0..worlds.count()).flat_map(|e| &worlds.view(e).frame.active);
-        for (row, (active, action)) in active.zip(actions.chunks(a)).enumerate() {
-            if *active > 0.5 && action.iter().any(|value| value.is_nan()) {
-                return Err(env::Error::Policy(format!("the action of agent {} is NaN", row % n)));
+        for (observation, comm) in batches.take(worlds.count().div_ceil(policy.batch)) {
+            let computed = policy.run(observation, comm).map_err(env::Error::Policy)?;
+            // Beyond the last world there are no agents.
+            for (numbers, (frame, i)) in computed.chunks(a).zip(&mut agents) {
+                let row = rows.next().expect("every agent of every world has an action");
+                if frame.active[i] > 0.5 && numbers.iter().any(|value| value.is_nan()) {
+                    return Err(env::Error::Policy(format!("the action of agent {i} is NaN")));
+                }
+                if policy.discrete {
+                    row[0] = best_choice(numbers, frame, i) as f32;
+                } else {
+                    row.copy_from_slice(numbers);
+                }
             }
         }
         Ok(RecordedDiagnostics::default())
     }
+}
+
+/// Returns the choice with the largest of these logits among those that are open to agent `i`; the
+/// first choice if none is.
+fn best_choice(logits: &[f32], frame: &Frame, i: usize) -> usize {
+    let available = &frame.available[i * logits.len()..][..logits.len()];
+    let open = (0..logits.len()).filter(|choice| available[*choice] > 0.5);
+    open.reduce(|best, next| if logits[next] > logits[best] { next } else { best }).unwrap_or(0)
 }
 
 #[cfg(test)]

@@ -53,6 +53,26 @@ fn a_model_plays_the_same_episodes_as_its_run() {
     }
 }
 
+/// In an environment without SUMO, with discrete actions.
+#[test]
+fn a_model_of_choices_plays_the_same_episodes_as_its_run() {
+    let folder = folder();
+    let file = folder.path().join("junction.onnx").display().to_string();
+    export("traffic-junction-ex-iwol", &file);
+    let run = root().join("policies/traffic-junction-ex-iwol").display().to_string();
+    let policy = format!("onnx:{file}");
+    let args = ["evaluate", &run, "--policy", &policy, "--episodes", "20", "--seed", "3", "--json"];
+    let both: Value =
+        serde_json::from_str(&text(&succeeds(&mut iwol(&args)).stdout)).expect("JSON");
+    let [trained, model] = &both.as_array().expect("a list")[..] else { panic!("{both}") };
+    for metric in ["success", "reward"] {
+        let [a, b] = [trained, model].map(|one| &one["metrics"][metric]["mean"]);
+        assert_alike(a, b, metric);
+        assert!(a.is_number(), "{metric}: {a}");
+    }
+    assert!(model["metrics"]["success"]["mean"].as_f64().expect("a number") > 0.8, "{model}");
+}
+
 #[test]
 fn models_that_do_not_fit_are_refused() {
     let folder = folder();
@@ -79,15 +99,11 @@ fn models_that_do_not_fit_are_refused() {
     let refusals = [
         ("absent", "intersection", "cannot be read"),
         ("text", "intersection", "is no ONNX model"),
-        (
-            "good",
-            "parking_lot",
-            "observation has 67 numbers per agent; the scenario and its settings",
-        ),
+        ("good", "parking_lot", "observation has 67 numbers per agent; the task and its settings"),
         (
             "feature",
             "intersection",
-            "is `ego.sqeed`; by the scenario and its settings it is `ego.speed`",
+            "is `ego.sqeed`; by the task and its settings it is `ego.speed`",
         ),
         (
             "input",

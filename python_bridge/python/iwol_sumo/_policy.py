@@ -1,7 +1,7 @@
 """A policy that ``iwol train`` has trained, in PyTorch. ``iwol export --pytorch`` puts this file beside the weights.
 
 policy = Policy(".")                # a folder of iwol export, a run folder, or a checkpoint file
-action = policy(observation, comm)  # tensors [..., N, O] and [..., N, N] (1: in range) to [..., N, A], within -1..1
+action = policy(observation, comm)  # [..., N, O] and [..., N, N] (1: in range) to [..., N, A] in -1..1, or to logits [..., N, K]
 
 policy.json says what the numbers of observations and actions mean. The weights have the names of the checkpoint's tensors.
 """
@@ -38,7 +38,7 @@ def read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 
 
 class Policy(nn.Module):
-    """From observations to the mean actions of a trained policy. Raises OSError or ValueError for what it cannot load."""
+    """From observations to mean actions, or to the logits of choices. Raises OSError or ValueError for what it cannot load."""
 
     def __init__(self, path: str | Path) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class Policy(nn.Module):
         named = ((name[len(prefix) :].removeprefix("trunk."), t) for name, t in tensors.items() if name.startswith(prefix))
         weights = {name.replace(".", "/"): t for name, t in named if not name.startswith(("world.", "interaction."))}
         self.algorithm = metadata.get("algorithm", "no method")
-        if self.algorithm not in METHODS or "encoder/mlp/norm/weight" not in weights or any("gru" in name for name in weights):
+        if self.algorithm not in METHODS or "encoder/mlp/layers/0/linear/weight" not in weights or any("gru" in name for name in weights):
             raise ValueError(f"it holds {self.algorithm!r}; allowed: {', '.join(METHODS)}, with the encoder mlp, without memory")
         self.weights = nn.ParameterDict({name: nn.Parameter(tensor.clone()) for name, tensor in weights.items()})
         self.graph_bias = float((re.search(r"^graph_bias = (\S+)", metadata.get("config", ""), re.M) or ("", 0))[1])
@@ -61,6 +61,8 @@ class Policy(nn.Module):
             x = torch.cat([self.linear("latent/1", self.linear("latent/0", f).relu()), f], -1)
         elif self.algorithm == "ex-iwol":
             x = torch.cat([self.message(f, self.edges(f, comm)), f], -1)
+        if "head/logits/weight" in self.weights:
+            return self.linear("head/logits", x)
         mean = self.linear("head/mean", x)
         return mean.tanh() if self.algorithm.startswith("maddpg") else mean.clamp(-1, 1)
 
@@ -71,7 +73,7 @@ class Policy(nn.Module):
         return F.layer_norm(x, x.shape[-1:], self.weights[f"{name}/weight"], self.weights[f"{name}/bias"])
 
     def mlp(self, name: str, x: Tensor) -> Tensor:
-        x = self.norm(f"{name}/norm", x)
+        x = self.norm(f"{name}/norm", x) if f"{name}/norm/weight" in self.weights else x
         for layer in (f"{name}/layers/0", f"{name}/layers/1"):
             x = self.norm(f"{layer}/norm", self.linear(f"{layer}/linear", x).relu())
         return x
@@ -88,8 +90,7 @@ class Policy(nn.Module):
         for name in (f"transformer/rounds/{number}" for number in range(self.rounds)):
             x = self.norm(f"{name}/attention_norm", x + self.attention(f"{name}/attention", x, edges))
             x = self.norm(f"{name}/mlp_norm", x + self.linear(f"{name}/down", F.gelu(self.linear(f"{name}/up", x))))
-        x = self.norm("transformer/head_norm", F.gelu(self.linear("transformer/head", x)))
-        return self.linear("transformer/out", x)
+        return self.linear("transformer/out", self.norm("transformer/head_norm", F.gelu(self.linear("transformer/head", x))))
 
     def attention(self, name: str, x: Tensor, edges: Tensor) -> Tensor:
         qkv = self.linear(f"{name}/qkv", x).unflatten(-1, (3, HEADS, -1))

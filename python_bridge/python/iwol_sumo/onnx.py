@@ -22,14 +22,15 @@ class OnnxPolicy:
         self._inputs = {entry.name for entry in self._session.get_inputs()}
         metadata = self._session.get_modelmeta().custom_metadata_map
         self.description: dict[str, Any] = json.loads(metadata.get("policy", "{}"))
-        """Method, scenario, length of a step in seconds, and name, unit and bounds of each number of observations and actions."""
+        """Method, task, and what each number of observations and actions means."""
+        self._output = self._session.get_outputs()[0].name
 
     def __call__(
         self, observation: NDArray[np.float32], comm: NDArray[np.float32] | None = None, *_: Any
     ) -> NDArray[np.float32]:
-        """Returns actions ``[B, N, A]`` in -1..1 from observations ``[B, N, O]``.
+        """Returns actions ``[B, N, A]`` in -1..1 from observations ``[B, N, O]``; logits ``[B, N, K]`` where actions are discrete.
 
         Policies with messages also need ``comm [B, N, N]``: 1 where two agents are within radio range, receiver first.
         """
         given = {"observation": observation, "comm": comm}
-        return self._session.run(["action"], {name: given[name] for name in self._inputs})[0]
+        return self._session.run([self._output], {name: given[name] for name in self._inputs})[0]

@@ -21,6 +21,8 @@ from .errors import Error
 class Policy(_policy.Policy):
     """A trained policy, a ``torch.nn.Module``: from observations ``[..., N, O]`` to mean actions ``[..., N, A]`` in -1..1.
 
+    Where actions are discrete, it returns logits ``[..., N, K]``.
+
     Called with NumPy arrays, as :func:`iwol_sumo.evaluate` does, it returns a NumPy array.
     """
 

@@ -52,11 +52,6 @@ impl Arena {
     /// Refuses a policy that only vehicles can have.
     pub(super) fn check(&self, name: &str, policy: &Policy<'_>) -> anyhow::Result<()> {
         let any = matches!(policy, Policy::Gaussian | Policy::Uniform | Policy::Learned(_));
-        if name.starts_with("onnx:") && self.spec().actions.choices().is_some() {
-            bail!(
-                "{name}: ONNX models give continuous actions, and those of the environment are discrete"
-            );
-        }
         if matches!(policy, Policy::Gaussian) && self.spec().actions.choices().is_some() {
             bail!(
                 "{name} gives continuous actions, and those of the environment are choices; use uniform"
