@@ -2,6 +2,7 @@
 //! `observation`), and the stages of a world's step, which [`World`] puts in order.
 
 pub(super) mod agents;
+mod area;
 mod audit;
 mod background;
 mod collisions;

@@ -1,7 +1,8 @@
 //! The routes' paths and how they relate to each other: shared lanes, crossings and merges.
 
 use super::agents::CLEARED;
-use super::conflicts::{Bridge, Pair};
+use super::area::{self, Stretch};
+use super::conflicts::{Bridge, Pair, Place};
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::levels::Levels;
 use super::shared::{STEP, Shared};
@@ -52,6 +53,11 @@ pub struct Conflict {
     pub own: f64,
     /// Position of the conflict point on the other route.
     pub other: f64,
+    /// Where a vehicle on this route enters and leaves the area of the conflict, in which it touches
+    /// some vehicle on the other route \[m\].
+    pub own_area: Stretch,
+    /// Where a vehicle on the other route enters and leaves the area.
+    pub other_area: Stretch,
 }
 
 /// A strip that two routes use in opposite directions, such as a lane for both directions of a road:
@@ -215,15 +221,19 @@ pub(super) fn geometry(
         let stretches = shared_stretches(path, other, a == b);
         let pair = Pair { levels, own: path, other, shared: &stretches, same: a == b, size };
         let met = pair.meet(b, a != b && (detoured[a] || detoured[b]), &mut bridges);
-        let conflict = |own, other| Conflict { route: b, own, other };
-        let first = met.iter().filter(|place| place.first);
-        let first: Vec<_> = first.map(|place| conflict(place.own, place.other)).collect();
+        let conflict = |place: &Place| {
+            let [own_area, other_area] =
+                area::around([path, other], [place.own, place.other], size);
+            Conflict { route: b, own: place.own, other: place.other, own_area, other_area }
+        };
+        let all: Vec<_> = met.iter().map(conflict).collect();
+        let first = met.iter().zip(&all).filter(|(place, _)| place.first);
+        let first: Vec<_> = first.map(|(_, conflict)| *conflict).collect();
         let coinciding = first.iter().filter_map(|met| coinciding_stretch(path, other, *met));
         let stretches = stretches.iter().copied().chain(coinciding).collect();
         let identity = (a == b).then_some(Shared::IDENTITY);
         let stretches = identity.into_iter().chain(extended(path, other, stretches, size));
         shared.push(stretches.collect());
-        let all: Vec<_> = met.iter().map(|place| conflict(place.own, place.other)).collect();
         // A route that crosses itself comes to the same point twice, much further on.
         let opposing =
             all.chunk_by(|one, next| next.other < one.other && next.own - one.own <= ROOM);

@@ -8,13 +8,18 @@ use crate::env::driving::routes::RouteGeometry;
 use crate::env::spec::{Described, Features};
 use crate::scenario::Observation;
 
-/// Features of an encounter; `own_*` and `other_*` are distances to the conflict point.
-const ENCOUNTER: [Described; 8] = [
+/// Features of an encounter; `own_*` and `other_*` are distances to the conflict point, or to where
+/// the vehicle enters or leaves the area in which it is in the way of the other.
+const ENCOUNTER: [Described; 12] = [
     ("ahead", "flag: ahead on the agent's path, own_* is the gap", 0.0, 1.0),
     ("own_far", "{far} m", -1.0, 1.0),
     ("own_near", "{near} m", -1.0, 1.0),
     ("other_far", "{far} m", -1.0, 1.0),
     ("other_near", "{near} m", -1.0, 1.0),
+    ("own_enters", "{near} m", -1.0, 1.0),
+    ("own_leaves", "{near} m", -1.0, 1.0),
+    ("other_enters", "{near} m", -1.0, 1.0),
+    ("other_leaves", "{near} m", -1.0, 1.0),
     ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("heading_cos", "1, to the agent's", -1.0, 1.0),
     ("heading_sin", "1, left of the agent's", -1.0, 1.0),
@@ -71,6 +76,11 @@ struct Encounter {
     own: f64,
     /// The other vehicle's distance to the conflict point; 0 for a vehicle ahead \[m\].
     other: f64,
+    /// Distances at which the agent enters and leaves the area of the conflict; the gap to a vehicle
+    /// ahead \[m\].
+    own_area: [f64; 2],
+    /// Distances at which the other vehicle enters and leaves it; 0 for a vehicle ahead \[m\].
+    other_area: [f64; 2],
     /// Whether the other vehicle is ahead on the agent's path.
     ahead: bool,
 }
@@ -86,10 +96,22 @@ impl Encounter {
     fn of(route: &RouteGeometry, own: &Slot, candidate: &Candidate, other: &Slot) -> Option<Self> {
         if let Some(distance) = route.gap_to_leader(own.s, candidate.route, candidate.s) {
             let gap = distance - f64::midpoint(own.size[0], other.size[0]);
-            return Some(Self { own: gap, other: 0.0, ahead: true });
+            return Some(Self {
+                own: gap,
+                other: 0.0,
+                own_area: [gap; 2],
+                other_area: [0.0; 2],
+                ahead: true,
+            });
         }
         let met = route.next_conflict(own.s, candidate.route, candidate.s, CLEARED)?;
-        Some(Self { own: met.own - own.s, other: met.other - candidate.s, ahead: false })
+        Some(Self {
+            own: met.own - own.s,
+            other: met.other - candidate.s,
+            own_area: met.own_area.map(|s| s - own.s),
+            other_area: met.other_area.map(|s| s - candidate.s),
+            ahead: false,
+        })
     }
 }
 
@@ -148,6 +170,10 @@ impl Encounters {
                 met.own / scales.near,
                 met.other / scales.far,
                 met.other / scales.near,
+                met.own_area[0] / scales.near,
+                met.own_area[1] / scales.near,
+                met.other_area[0] / scales.near,
+                met.other_area[1] / scales.near,
                 other.speed / SPEED,
                 cos,
                 sin,

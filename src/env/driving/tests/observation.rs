@@ -207,7 +207,7 @@ proptest! {
             }
             expected.sort_by(|a, b| a[0].max(a[1]).total_cmp(&b[0].max(b[1])));
             let shown = usize::from(priority > 0.0);
-            let token = if foresight > 0.0 { 14 } else { 10 } + shown;
+            let token = if foresight > 0.0 { 18 } else { 14 } + shown;
             // The encounters are followed by the free-space features.
             let (first, end) = (i * width, (i + 1) * width - 3 * shown);
             let seen = &world.frame().observation[end - token * count..end];
@@ -218,13 +218,20 @@ proptest! {
                     continue;
                 };
                 prop_assert_eq!(token[token.len() - 1], 1.0);
-                for passing in token[8..token.len() - 2 - shown].chunks(2) {
+                for passing in token[12..token.len() - 2 - shown].chunks(2) {
                     prop_assert!(passing.iter().all(|x| (0.0..=1.0).contains(x)), "{token:?}");
                     // A vehicle that is near ahead now will come at least as near.
                     let near = 1.0 - 15.0 * token[2] / 3.0;
                     prop_assert!(token[0] == 0.0 || passing[0] >= near.min(1.0) - 1e-4, "{token:?}");
                 }
                 prop_assert_eq!(token[0] > 0.0, distances[1] == 0.0);
+                // The routes cross at right angles.
+                let half = f64::midpoint(task.scenario.vehicle.length, task.scenario.vehicle.width);
+                let ends = [distances[0] - half, distances[0] + half, distances[1] - half, distances[1] + half];
+                for (end, shown) in ends.iter().zip(&token[5..9]).filter(|_| token[0] == 0.0) {
+                    // Areas are found in steps of a quarter of a metre.
+                    prop_assert!((f64::from(*shown) - (end / 15.0).clamp(-1.0, 1.0)).abs() < 0.02, "{token:?} {distances:?}");
+                }
                 for (distance, at) in distances.iter().zip([1, 3]) {
                     prop_assert!((f64::from(token[at]) - (distance / 50.0).clamp(-1.0, 1.0)).abs() < 1e-5, "{token:?} {distances:?}");
                 }

@@ -78,6 +78,45 @@ fn every_vehicle_in_the_way_is_an_encounter() {
     }
 }
 
+/// A conflict's area ends where no vehicle on the other route is touched any more.
+#[test]
+fn the_area_of_a_conflict_is_where_vehicles_touch() {
+    let straight = scenario("intersection");
+    let task = Task::new(&straight, 8).expect("a task");
+    let half = f64::midpoint(straight.vehicle.length, straight.vehicle.width);
+    for conflict in task.map.routes.iter().flat_map(|route| &route.conflicts) {
+        // Two straight paths at right angles.
+        for ([enters, leaves], at) in
+            [(conflict.own_area, conflict.own), (conflict.other_area, conflict.other)]
+        {
+            assert!((at - enters - half).abs() < 0.3 && (leaves - at - half).abs() < 0.3);
+        }
+    }
+    let scenario = scenario("intersection_turns_small");
+    let task = Task::new(&scenario, 8).expect("a task");
+    let size = [scenario.vehicle.length, scenario.vehicle.width];
+    let (mut merges, mut crossings) = (0, 0);
+    for own in &task.map.routes {
+        for conflict in &own.conflicts {
+            let other = &task.map.routes[conflict.route];
+            let touches = |t: f64| {
+                let there = |k: i32| Pose::on(&other.path, conflict.other + f64::from(k) * 0.25);
+                let here = Pose::on(&own.path, t);
+                (-80..=80).any(|k| boxes_overlap((&here, size), (&there(k), size)))
+            };
+            let [enters, leaves] = conflict.own_area;
+            assert!(enters <= conflict.own && conflict.own <= leaves);
+            let inside = (0..=20).map(|k| enters + (leaves - enters) * f64::from(k) / 20.0);
+            assert!(inside.into_iter().all(touches), "{conflict:?}");
+            assert!(!touches(enters - 0.3), "{conflict:?}");
+            let merges_here = leaves - conflict.own > 19.5;
+            assert!(merges_here || !touches(leaves + 0.3), "{conflict:?}");
+            *(if merges_here { &mut merges } else { &mut crossings }) += 1;
+        }
+    }
+    assert!(merges > 0 && crossings > 0, "{merges} merges, {crossings} crossings");
+}
+
 /// Pure pursuit stays on the road on every route, also where a route turns back within 3.5 m,
 /// which no vehicle can follow exactly.
 #[test]
