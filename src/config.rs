@@ -143,11 +143,11 @@ pub struct Train {
     #[schemars(range(min = 0, max = 1))]
     pub stop_success: f64,
     /// Share of agents that must succeed in validations for annealing (of noise, then of the
-    /// learning rate) to proceed. Below it, annealing waits, unless the run would end before
-    /// annealing is over; 0: annealing takes place only then. If the run is not good enough to stop
-    /// once annealing is over, it goes on with as little noise, and explores again if success falls
-    /// below this share. Success in training episodes would be misleading, because agents may
-    /// succeed only thanks to their noise.
+    /// learning rate) to proceed before `exploration.explore_steps` are over. After them, annealing
+    /// proceeds in any case. If the run is not good enough to stop once annealing is over, it goes on
+    /// with as little noise, and the learning rate falls anew. 0: annealing takes place at the end
+    /// of the run only. Success in training episodes would be misleading, because agents may succeed
+    /// only thanks to their noise.
     #[default = 0.95]
     #[schemars(range(min = 0, max = 1))]
     pub anneal_success: f64,

@@ -30,7 +30,7 @@ pub struct Exploration {
     #[schemars(range(min = -20, max = 5))]
     pub log_std_end: f64,
     /// Environment steps over which the logarithm of the standard deviation falls linearly from
-    /// `exploration.log_std_start` to -1, which is kept until annealing begins; by default × 8/N
+    /// `exploration.log_std_start` to -1, after which annealing lowers it further; by default × 8/N
     /// below 8 agents.
     #[default = 250_000]
     #[schemars(range(max = 1_u64 << 50))]

@@ -1,9 +1,10 @@
 //! The schedule of noise and learning rate, the effect of validations on it, and the criterion for
 //! stopping early.
 //!
-//! While exploring, the noise falls to a level that it keeps until validations succeed. Annealing
-//! then lowers the noise further in its first two thirds and the learning rate in its last third.
-//! Annealing pauses while validations fail, unless the run would end before annealing is over.
+//! Exploration lowers the noise. Annealing lowers it further in its first two thirds, and the
+//! learning rate in its last third. Annealing begins as soon as validations succeed, and at the
+//! latest when exploration is over. Until the task is solved, the learning rate falls again and
+//! again.
 
 use crate::algo::UpdateParameters;
 use crate::algo::settings::{Exploration, NoiseMode};
@@ -40,10 +41,13 @@ fn ramp(at: u64, length: u64) -> f64 {
 
 /// Adds an iteration of `steps` environment steps to the progress.
 pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
-    let left = anneal_steps(config).saturating_sub(progress.annealed);
+    let whole = anneal_steps(config);
+    let left = whole.saturating_sub(progress.annealed);
     // If annealing began after this iteration, it would not be over at the end of the run.
     let ending = progress.step + steps + left > config.steps;
-    if progress.annealing || ending {
+    // A policy that needs its noise to succeed does not succeed in validations, and it does not
+    // learn to do without as long as it has the noise.
+    if progress.annealing || ending || is_explored(config, progress) {
         progress.annealed += steps;
     }
     progress.step += steps;
@@ -57,12 +61,10 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
     progress.recent.drain(..old);
     progress.annealing = train.anneal_success > 0.0 && success >= train.anneal_success;
     if annealed(config, progress) && !solved(config, progress) && train.stop_success > 0.0 {
-        // At or above `anneal_success`, the run keeps its low noise, and the learning rate falls
-        // anew. Below, it explores again. Either way, annealing must still be over at the end of
-        // the run.
+        // The run keeps its low noise, and the learning rate falls anew, as far as the end of the
+        // run leaves time for it.
         let (whole, left) = (anneal_steps(config), config.steps.saturating_sub(progress.step));
-        let back = if progress.annealing { (2 * whole).div_ceil(3) } else { 0 };
-        progress.annealed = back.max(whole.saturating_sub(left));
+        progress.annealed = noise_steps(whole).max(whole.saturating_sub(left));
     }
     progress.validated = progress.step;
     // The next multiple of the interval.
@@ -73,7 +75,9 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
 /// place only because the run was about to end is taken back.
 pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
     if config.steps > before && !progress.annealing {
-        progress.annealed = 0;
+        let whole = anneal_steps(config);
+        let earned = if is_explored(config, progress) { noise_steps(whole) } else { 0 };
+        progress.annealed = progress.annealed.min(earned);
     }
 }
 
@@ -84,6 +88,16 @@ pub(super) fn solved(config: &Config, progress: &Progress) -> bool {
     let enough = recent.len() >= STOP_VALIDATIONS;
     let good = recent.iter().all(|success| *success >= train.stop_success);
     train.stop_success > 0.0 && enough && good && annealed(config, progress)
+}
+
+/// Returns whether exploration is over, so that the noise falls further.
+fn is_explored(config: &Config, progress: &Progress) -> bool {
+    config.train.anneal_success > 0.0 && progress.step >= config.learner.exploration.explore_steps
+}
+
+/// Returns the part of annealing in which the noise falls.
+fn noise_steps(whole: u64) -> u64 {
+    (2 * whole).div_ceil(3)
 }
 
 /// Returns the length of annealing in environment steps, at most half of the run.
@@ -142,21 +156,22 @@ mod tests {
     }
 
     #[test]
-    fn noise_falls_and_waits_for_success() {
+    fn a_run_that_fails_anneals_after_exploration_and_learns_on() {
         let config = config();
-        let mut log_std = Vec::new();
-        play(
-            &config,
-            |_| 0.0,
-            |progress, parameters| log_std.push((progress.step, parameters.log_std)),
-        );
-        let at = |step: u64| log_std.iter().find(|(s, _)| *s == step).expect("was seen").1;
-        assert!((at(200) + 0.5).abs() < 1e-12);
-        assert!((at(400) + 1.0).abs() < 1e-12);
-        assert!((at(800) + 1.0).abs() < 1e-12, "held until the run has to end");
-        assert!((at(900) + 1.75).abs() < 1e-12);
-        assert!((at(940) + 2.0).abs() < 1e-12);
-        let end = play(&config, |_| 0.0, |_, _| ());
+        let mut history = Vec::new();
+        let end = play(&config, |_| 0.0, |progress, now| history.push((progress.step, now)));
+        let at = |step: u64| {
+            let now: &UpdateParameters =
+                history.iter().find(|(s, _)| *s == step).map(|(_, now)| now).expect("was seen");
+            (now.log_std, now.learning_rate / now.log_std.exp())
+        };
+        assert!((at(200).0 + 0.5).abs() < 1e-12);
+        assert!((at(400).0 + 1.0).abs() < 1e-12, "exploration is over");
+        assert!((at(460).0 + 1.45).abs() < 1e-12, "the noise falls although validations fail");
+        assert!((at(540).0 + 2.0).abs() < 1e-12);
+        assert!(at(530).1 > 0.99e-3 && at(590).1 < 0.3e-3, "then the learning rate falls");
+        assert!(at(610).1 > 0.8e-3 && at(660).1 < 0.3e-3, "and falls again");
+        assert!((540..=1000).step_by(10).all(|step| (at(step).0 + 2.0).abs() < 1e-12));
         assert_eq!((end.step, end.annealed), (1000, 200));
     }
 
@@ -229,31 +244,29 @@ mod tests {
     }
 
     #[test]
-    fn a_run_whose_performance_collapses_explores_again() {
+    fn a_run_that_loses_its_success_keeps_its_low_noise() {
         let config = config();
-        let mut lost =
-            Progress { step: 500, annealed: 200, annealing: true, ..Progress::default() };
-        validated(&config, &mut lost, 0.5);
-        assert_eq!((lost.annealing, lost.annealed), (false, 0));
+        let after = |step: u64, success: f64| {
+            let mut progress =
+                Progress { step, annealed: 200, annealing: true, ..Progress::default() };
+            validated(&config, &mut progress, success);
+            (progress.annealing, progress.annealed)
+        };
+        assert_eq!(after(500, 0.5), (false, 134));
+        assert_eq!(after(500, 0.92), (true, 134));
         // Annealing is taken back only as far as the remaining steps allow.
-        let mut late =
-            Progress { step: 850, annealed: 200, annealing: true, ..Progress::default() };
-        validated(&config, &mut late, 0.5);
-        assert_eq!(late.annealed, 50);
-        let mut close =
-            Progress { step: 990, annealed: 200, annealing: true, ..Progress::default() };
-        validated(&config, &mut close, 0.92);
-        assert_eq!(close.annealed, 190);
+        assert_eq!(after(990, 0.92), (true, 190));
     }
 
     #[test]
     fn a_longer_run_takes_back_what_its_end_forced() {
         let mut config = config();
         let mut progress = play(&config, |_| 0.0, |_, _| ());
-        let exploring = update_parameters(&config, &progress).log_std + 1.0;
         config.steps = 2000;
         extended(&config, &mut progress, 1000);
-        assert!((update_parameters(&config, &progress).log_std - exploring).abs() < 1e-12);
+        let extended_run = update_parameters(&config, &progress);
+        assert!((extended_run.log_std + 2.0).abs() < 1e-12, "exploration was over");
+        assert!((extended_run.learning_rate - 1e-3 * (-2.0_f64).exp()).abs() < 2e-5);
         let mut earned =
             Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
         extended(&config, &mut earned, 1000);
@@ -266,10 +279,10 @@ mod tests {
             let mut config = config();
             (config.steps, config.train.anneal_steps) = (steps, anneal_steps);
             let success = |p: &Progress| f64::from((p.step.wrapping_mul(seed | 1) >> 7) as u8) / 255.0;
-            let mut last = (0, f64::INFINITY);
+            let mut last = f64::INFINITY;
             let end = play(&config, success, |progress, parameters| {
-                assert!(progress.annealed < last.0 || parameters.log_std <= last.1 + 1e-12, "noise never grows but for a restart");
-                last = (progress.annealed, parameters.log_std);
+                assert!(parameters.log_std <= last + 1e-12, "noise never grows: {progress:?}");
+                last = parameters.log_std;
             });
             prop_assert!(end.annealed >= super::anneal_steps(&config));
             prop_assert!(end.step < steps + 10);
