@@ -58,7 +58,7 @@ pub struct Ppo {
     /// Discount per step. It says what time is worth: at 0.99, arriving ten steps earlier outweighs a
     /// crash risk of one in ten, and vehicles crash for it; at 0.998, vehicles take their time
     /// (docs/lab/decision-process.md#the-discount).
-    #[default = 0.995]
+    #[default = 0.9925]
     #[schemars(range(min = 0, max = 1))]
     pub gamma: f64,
     /// λ of generalised advantage estimation.

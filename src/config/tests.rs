@@ -84,7 +84,7 @@ fn lengths_follow_the_number_of_agents() {
     let searched = |c: &Config| {
         (c.train.repeat_failed, c.train.anneal_success, c.train.stop_success, c.learner.ppo.gamma)
     };
-    assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.995); 3]);
+    assert_eq!([&four, &eight, &most].map(searched), [(0.5, 0.95, 0.995, 0.9925); 3]);
     assert_eq!(four.train.validation_episodes, 128);
     let shared = |name: &str| {
         number(&resolve(&format!("algorithm = '{name}'"), &[]).unwrap(), "reward", "cooperation")
@@ -101,7 +101,7 @@ fn vehicles_that_steer_have_defaults_of_their_own() {
     assert_eq!((five.learner.exploration.correlation, five.train.envs), (0.95, 25));
     assert_eq!(five.steps, 2_400_000 * 8 / 5);
     let view = |c: &Config| c.learner.ppo.gamma;
-    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), (0.998, 0.995));
+    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), (0.998, 0.9925));
     assert_eq!(
         view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()),
         view(&five),

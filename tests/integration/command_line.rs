@@ -260,13 +260,13 @@ fn damaged_checkpoints_are_refused() {
     let stored = std::fs::read(run.join("config.toml")).expect("it is there");
     assert_snapshot!(tidy(failure(&mut train(&run, &["ppo.gamma=0.5"], &["--resume"]))), @r#"
     2
-    error: `DIR/run` is over after 64 steps, so ppo.gamma = 0.5 (was 0.995) would change nothing; allow more with --steps, or start a new run with --init-from
+    error: `DIR/run` is over after 64 steps, so ppo.gamma = 0.5 (was 0.9925) would change nothing; allow more with --steps, or start a new run with --init-from
     "#);
     assert_eq!(std::fs::read(run.join("config.toml")).expect("it is there"), stored);
     // With more steps, another discount factor is accepted and reported.
     let mut on = train(&run, &["ppo.gamma=0.5"], &["--resume", "--steps", "96"]);
     let said = text(&succeeds(&mut on).stderr);
-    assert!(said.contains("another setting: ppo.gamma = 0.5 (was 0.995)"), "{said}");
+    assert!(said.contains("another setting: ppo.gamma = 0.5 (was 0.9925)"), "{said}");
     // A checkpoint with a weight that is not finite, and a truncated one, are refused.
     let file = run.join("checkpoints/last.safetensors");
     let bytes = std::fs::read(&file).expect("a file");
