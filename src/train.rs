@@ -194,8 +194,9 @@ impl Trainer {
         same.then_some(()).ok_or(Error::Diverged { iteration: self.progress.iteration })
     }
 
-    /// Evaluates the averaged weights with deterministic actions on the validation seeds, which are
-    /// the same in every call.
+    /// Evaluates the averaged weights with deterministic actions, in episodes that training never
+    /// plays. At every step of the training they are others: a run that stops at the first weights
+    /// that succeed would be chosen for the episodes if they were always the same.
     ///
     /// # Errors
     /// If worlds cannot go on.
@@ -206,7 +207,7 @@ impl Trainer {
             &*self.environment,
             &Policy::Learned(&policy),
             self.config.train.validation_episodes,
-            self.seed.child("validation"),
+            self.seed.child("validation").index(self.progress.step),
             EvaluationObserver { stop, report: &mut |_| {}, recorder: None, beside: true },
         );
         self.learner.swap_average();

@@ -168,3 +168,19 @@ fn work_is_divided_without_gaps() {
         assert_eq!(all, (0..count).collect::<Vec<_>>());
     }
 }
+
+/// Each validation plays other episodes. The weights are the same, because nothing is learned.
+#[test]
+fn validations_differ_in_their_episodes() {
+    let still = ["ppo.learning_rate=0", "ppo.learning_rate_follows_noise=false"];
+    let (_, lines) = trained(1, "mappo", &still);
+    let outcome = |line: &String| {
+        let mut line: serde_json::Map<String, serde_json::Value> =
+            serde_json::from_str(line).expect("JSON");
+        line.retain(|key, _| key != "step");
+        serde_json::to_string(&line).expect("JSON")
+    };
+    let outcomes: Vec<_> = lines.iter().map(outcome).collect();
+    let [first, second] = [&outcomes[..7], &outcomes[7..14]];
+    assert_ne!(first, second);
+}
