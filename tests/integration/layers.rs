@@ -198,7 +198,7 @@ fn modules_import_only_what_they_may() {
 /// Learners and evaluations work in any environment: they know nothing of vehicles or of SUMO.
 #[test]
 fn learners_know_no_vehicles() {
-    const ANY: [&str; 15] = [
+    const ANY: [&str; 16] = [
         "ActionDimension",
         "ActionSpace",
         "DrivingRecord",
@@ -208,6 +208,7 @@ fn learners_know_no_vehicles() {
         "Error",
         "Feature",
         "Features",
+        "Frame",
         "Group",
         "OwnMetric",
         "Stream",
