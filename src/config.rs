@@ -132,8 +132,7 @@ pub struct Train {
     #[schemars(range(min = 1, max = MOST_STEPS))]
     pub validate_every: u64,
     /// Episodes per validation, with deterministic actions; training never plays them, and each
-    /// validation has others. By default × 8/N, but at least a quarter. With 4 vehicles on 8 places, the default of 128
-    /// misses about 11 of the 70 ways to begin; 400 miss hardly any.
+    /// validation has others. By default × 8/N, but at least a quarter.
     #[default = 64]
     #[schemars(range(min = 1, max = 100_000))]
     pub validation_episodes: u64,

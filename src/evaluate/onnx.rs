@@ -117,8 +117,8 @@ impl OnnxPolicy {
         Ok(policy)
     }
 
-    /// Returns the actions `[batch, N, A]` or the logits `[batch, N, K]` for `observation [batch, N, O]` and `comm [batch, N,
-    /// N]`.
+    /// Returns the actions `[batch, N, A]` or the logits `[batch, N, K]` for
+    /// `observation [batch, N, O]` and `comm [batch, N, N]`.
     fn run(&self, observation: &[f32], comm: &[f32]) -> Result<Vec<f32>, String> {
         let (batch, [n, o, a]) = (self.batch, self.sizes);
         let view = |width: usize, data| {
