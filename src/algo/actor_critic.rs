@@ -209,16 +209,17 @@ impl<N: Networks> ActorCritic<N> {
         &mut self,
         batch: &Batch,
         shards: Vec<Shard>,
+        settings: &Settings,
         rate: impl Fn(ParameterGroup) -> Option<f64>,
     ) -> Result<Report, Error> {
         // The reference updates the normalisation in every evaluation of the value loss.
         let returns: Vec<Tensor> =
             shards.iter().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));
-        let (norm, settings) = (self.value_norm, self.settings.clone());
+        let norm = self.value_norm;
         let items: Vec<_> = shards.into_iter().map(|shard| (batch.share(), shard)).collect();
         let reports = self.parallel(self.own(items), |networks, (batch, shard)| {
-            let loss = networks.loss(&batch, &shard, &settings, &norm);
+            let loss = networks.loss(&batch, &shard, settings, &norm);
             (&loss.total * shard.weight).backward();
             loss.report
                 .iter()
@@ -296,14 +297,16 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         parameters: &UpdateParameters,
         seed: Seed,
     ) -> Result<Losses, Error> {
-        let settings = self.settings.clone();
+        let mut settings = self.settings.clone();
+        let scheduled = settings.exploration.mode == NoiseMode::Schedule;
+        let noise = if scheduled { parameters.log_std.exp() } else { 1.0 };
+        settings.ppo.entropy_coefficient *= noise;
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
-        let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
-        let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
+        let scale = if N::GRAPHS > 0 { noise } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
             batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
         }
@@ -316,7 +319,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
                 minibatches(rollout, length, ppo.minibatch, self.shards, self.device, order)
             {
                 let rate = |group| N::rate(group, epoch, parameters.learning_rate);
-                means.add(&self.step(&batch, shards, rate)?);
+                means.add(&self.step(&batch, shards, &settings, rate)?);
             }
         }
         let head = self.copies[0].head();

@@ -72,7 +72,10 @@ pub struct Ppo {
     #[default = 0.1]
     #[schemars(range(min = 0))]
     pub bounds: f64,
-    /// Weight of the entropy bonus; of use where the noise is learned.
+    /// Weight of the entropy bonus, which keeps a policy with discrete actions or with learned noise
+    /// exploring. Where noise follows a schedule, the weight is proportional to the scheduled
+    /// standard deviation, and this is the weight at a standard deviation of 1
+    /// (docs/lab/messages.md#the-traffic-junction-how-the-settings-were-found).
     pub entropy_coefficient: f64,
 }
 

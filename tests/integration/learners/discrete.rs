@@ -1,8 +1,8 @@
 //! Discrete actions: every method that can have them takes open choices only, and its updates see
 //! the policy that acted.
 
-use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{self, ActMode, Algorithm, Observation};
+use iwol_sumo::algo::settings::{EncoderKind, NoiseMode};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, UpdateParameters};
 use iwol_sumo::env::{ActionSpace, EnvSpec};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::Rollout;
@@ -70,6 +70,34 @@ fn updates_see_the_policy_that_chose() {
         assert!(losses.iter().any(|(key, value)| *key == "loss/entropy" && *value > 0.0), "{name}");
         assert!(losses.iter().all(|(key, _)| *key != "ppo/std"), "{name}");
     });
+}
+
+/// The weight of the entropy bonus is proportional to the standard deviation that a schedule
+/// imposes, so that a policy explores at the beginning of a run and decides at its end.
+#[test]
+fn the_entropy_bonus_follows_the_schedule() {
+    for name in ["mappo", "im-iwol", "mat"] {
+        let weights = |mode: NoiseMode, coefficient: f64, log_std: f64| {
+            let mut settings = small(EncoderKind::Mlp);
+            settings.exploration.mode = mode;
+            settings.ppo.entropy_coefficient = coefficient;
+            let mut learner = loud(name, &choosing(), &settings);
+            let mut rollout = rollout(&*learner);
+            decide(&*learner, &mut rollout);
+            let parameters = UpdateParameters { log_std, ..PACE };
+            learner.update(&rollout, &parameters, Seed::new(4)).expect("finite");
+            let numbers = |(_, tensor): (String, Tensor)| Vec::<f32>::try_from(tensor.reshape([-1]));
+            let state = learner.state().into_iter().filter(|(name, _)| name.starts_with("actor/"));
+            state.flat_map(|entry| numbers(entry).expect("numbers")).collect::<Vec<f32>>()
+        };
+        let (scheduled, learned) = (NoiseMode::Schedule, NoiseMode::Learned);
+        let half = weights(scheduled, 0.5, 0.0);
+        assert!(half == weights(learned, 0.5, 0.0), "{name}");
+        assert!(half == weights(learned, 0.5, -1.0), "{name}: no schedule");
+        let less = weights(scheduled, 0.5, -1.0);
+        assert!(less == weights(scheduled, 0.5 * (-1.0_f64).exp(), 0.0), "{name}");
+        assert!(less != half, "{name}");
+    }
 }
 
 /// The most likely choice is taken in evaluations, with messages through any channel as well.
