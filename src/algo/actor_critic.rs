@@ -298,15 +298,14 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         seed: Seed,
     ) -> Result<Losses, Error> {
         let mut settings = self.settings.clone();
-        let scheduled = settings.exploration.mode == NoiseMode::Schedule;
-        let noise = if scheduled { parameters.log_std.exp() } else { 1.0 };
-        settings.ppo.entropy_coefficient *= noise;
+        settings.ppo.entropy_coefficient = parameters.entropy_coefficient;
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
-        let scale = if N::GRAPHS > 0 { noise } else { 1.0 };
+        let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
+        let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
         if N::VALUE_SAMPLES_GRAPH {
             batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
         }

@@ -10,9 +10,8 @@ use crate::algo::settings::Exploration;
 use crate::env::EnvSpec;
 use crate::scenario::ScenarioFile;
 
-/// Entropy coefficient where actions are discrete. With the default noise it falls from this value
-/// to 0.01, which is usual in PPO, during exploration, and to 0.004 in annealing.
-const ENTROPY_OF_CHOICES: f64 = 0.03;
+/// Entropy coefficient where actions are discrete (usual in PPO, and that of MAPPO's scripts).
+const ENTROPY_OF_CHOICES: f64 = 0.01;
 
 /// Where agents act.
 #[derive(Clone, Copy)]

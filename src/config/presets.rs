@@ -17,10 +17,11 @@ pub(super) const STEERING: Preset =
     Preset { name: "steering", text: include_str!("../../presets/steering.toml") };
 
 /// All presets.
-pub const PRESETS: [Preset; 3] = [
+pub const PRESETS: [Preset; 4] = [
     STEERING,
     Preset { name: "paper", text: include_str!("../../presets/paper.toml") },
     Preset { name: "messages", text: include_str!("../../presets/messages.toml") },
+    Preset { name: "traffic_junction", text: include_str!("../../presets/traffic_junction.toml") },
 ];
 
 impl Preset {

@@ -175,7 +175,7 @@ fn presets_lie_between_defaults_and_files() {
     assert_eq!(of("train.rollout_steps = 10\n", &["preset=paper"]).train.rollout_steps, 10);
     assert_eq!(
         message("preset = 'papr'\n", &[]),
-        "c.toml:1:10: bad value for `preset`: there is no preset `papr` (available: steering, paper, messages); did you mean `paper`?"
+        "c.toml:1:10: bad value for `preset`: there is no preset `papr` (available: steering, paper, messages, traffic_junction); did you mean `paper`?"
     );
     for preset in &PRESETS {
         // As a file, every key is checked.

@@ -484,7 +484,7 @@ fn methods_learn_discrete_actions() {
         let layers = Layers { flags, sets, ..Layers::default() };
         let config = layers.without_scenario(&Row::new().spec).expect("settings");
         let ppo = &config.learner.ppo;
-        assert!(ppo.entropy_coefficient == 0.03 && !ppo.learning_rate_follows_noise, "{ppo:?}");
+        assert!(ppo.entropy_coefficient == 0.01 && !ppo.learning_rate_follows_noise, "{ppo:?}");
         let mut trainer = Trainer::new(config, environment()).expect("a trainer");
         for _ in 0..40 {
             trainer.iterate().expect("an iteration");
