@@ -1,10 +1,10 @@
-//! The schedule of noise and learning rate, the effect of validations on it, and the criterion for
-//! stopping early.
+//! The schedule of noise, entropy bonus and learning rate, the effect of validations on it, and the
+//! criterion for stopping early.
 //!
 //! Exploration lowers the noise. Annealing lowers it further in its first two thirds, with the
-//! weight of the entropy bonus, and the learning rate in its last third. Annealing begins as soon as validations succeed, and at the
-//! latest when exploration is over. Until the task is solved, the learning rate falls again and
-//! again.
+//! weight of the entropy bonus, and the learning rate in its last third. Annealing begins as soon
+//! as validations succeed, and at the latest when exploration is over. Until the task is solved,
+//! the learning rate falls again and again.
 
 use crate::algo::UpdateParameters;
 use crate::algo::settings::{Exploration, NoiseMode};
