@@ -43,6 +43,8 @@ pub(super) struct ActorCritic<N> {
     device: Device,
     weights: Weights,
     value_norm: ValueNorm,
+    /// Number of passes over rollouts so far.
+    passes: usize,
     /// Memory of a recurrent critic after the last rollout, `[E · N, M]`.
     critic_memory: Option<Tensor>,
 }
@@ -85,6 +87,7 @@ impl<N: Networks> ActorCritic<N> {
             device,
             weights,
             value_norm: ValueNorm::default(),
+            passes: 0,
             critic_memory: None,
         }
     }
@@ -314,12 +317,14 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let mut means = Means::default();
         for epoch in 0..ppo.epochs {
             let order = seed.child("epoch").index(epoch as u64);
+            let pass = self.passes;
             for shards in
                 minibatches(rollout, length, ppo.minibatch, self.shards, self.device, order)
             {
-                let rate = |group| N::rate(group, epoch, parameters.learning_rate);
+                let rate = |group| N::rate(group, pass, parameters.learning_rate);
                 means.add(&self.step(&batch, shards, &settings, rate)?);
             }
+            self.passes += 1;
         }
         let head = self.copies[0].head();
         head.impose(parameters.log_std);
@@ -337,6 +342,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn state(&self) -> Vec<(String, Tensor)> {
         let mut state = self.weights.state();
         state.push(value_norm_entry(&self.value_norm));
+        state.push(("passes/count".to_owned(), Tensor::from(self.passes as i64)));
         if let Some(memory) = &self.critic_memory {
             state.push(("critic_memory/last".to_owned(), memory.to_device(Device::Cpu).copy()));
         }
@@ -346,6 +352,9 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     fn load(&mut self, state: &[(String, Tensor)]) -> Result<(), Error> {
         self.weights.load(state)?;
         load_value_norm(&mut self.value_norm, state)?;
+        // Checkpoints without a count are from runs whose rollouts ended whole periods of passes.
+        let passes = part(state, "passes");
+        self.passes = passes.first().map_or(0, |(_, count)| count.int64_value(&[]) as usize);
         self.critic_memory =
             part(state, "critic_memory").first().map(|(_, t)| t.to_device(self.device).copy());
         Ok(())

@@ -12,7 +12,7 @@
 //!    graph, through which the scores get the gradient of their row's softmax; agents always listen
 //!    to themselves
 //! 4. bi-level optimisation: every fifth pass over a rollout trains the scores alone, and the others
-//!    train everything else (`mat_trainer.py`)
+//!    train everything else (`mat_trainer.py`); passes are counted over all rollouts
 //! 5. encoder blocks have a rectifier, decoder blocks are those of MAT; each dimension of the
 //!    action has its own ratio
 //!
@@ -76,7 +76,7 @@ pub struct CommFormerSettings {
     pub lambda_world: f64,
 }
 
-/// Period of graph training in passes over a rollout: the last pass of each period trains the graph
+/// Period of graph training in passes over rollouts: the last pass of each period trains the graph
 /// alone, the others train everything else (`mat_trainer.py`).
 const GRAPH_EVERY: usize = 5;
 /// Learning rate of the graph, as a share of that of the other parameters (reference: 1e-4 and
@@ -158,8 +158,8 @@ impl Networks for CommFormer {
         }
     }
 
-    fn rate(group: ParameterGroup, epoch: usize, learning_rate: f64) -> Option<f64> {
-        let trains_graph = (epoch + 1).is_multiple_of(GRAPH_EVERY);
+    fn rate(group: ParameterGroup, pass: usize, learning_rate: f64) -> Option<f64> {
+        let trains_graph = (pass + 1).is_multiple_of(GRAPH_EVERY);
         if group == GRAPH {
             trains_graph.then_some(learning_rate * GRAPH_RATE)
         } else {

@@ -51,9 +51,9 @@ pub trait Networks: Sized + Send {
     /// Creates the networks and their parameters.
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self;
 
-    /// Returns the learning rate of a parameter group in pass `epoch` over the rollout; `None`
-    /// where that pass does not train the group.
-    fn rate(_group: ParameterGroup, _epoch: usize, learning_rate: f64) -> Option<f64> {
+    /// Returns the learning rate of a parameter group in a pass over a rollout; `None` where that
+    /// pass does not train the group. `pass` counts those of all rollouts, from 0.
+    fn rate(_group: ParameterGroup, _pass: usize, learning_rate: f64) -> Option<f64> {
         Some(learning_rate)
     }
 

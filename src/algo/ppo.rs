@@ -32,8 +32,7 @@ pub struct Ppo {
     #[default = 0.02]
     #[schemars(range(min = 0, max = 1))]
     pub learning_rate_end: f64,
-    /// Number of passes over a rollout (docs/lab/0.1.0.md#five-passes-over-a-rollout). CommFormer:
-    /// at least 5, because every fifth pass trains the graph.
+    /// Number of passes over a rollout (docs/lab/0.1.0.md#five-passes-over-a-rollout).
     #[default = 5]
     #[schemars(range(min = 1, max = 1000))]
     pub epochs: usize,

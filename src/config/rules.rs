@@ -29,11 +29,6 @@ impl Config {
                 "1 to train.rollout_steps",
             ),
             (
-                &["ppo.epochs", "algorithm"],
-                ppo.epochs >= 5 || self.algorithm != "commformer",
-                "5 or more with CommFormer: every fifth pass over a rollout trains the graph",
-            ),
-            (
                 &["network.encoder", "algorithm"],
                 !recurrent || method.is_none_or(|method| method.recurrent),
                 "mlp or attention: this method learns from single steps of a replay buffer, without memory",

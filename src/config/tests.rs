@@ -449,10 +449,6 @@ fn mistakes_name_place_key_and_neighbour() {
     );
     assert!(message("", &["device=gpu"]).contains("write cpu, cuda or cuda:<number>"));
     assert!(message("", &["agents=49"]).contains("49"), "{}", message("", &["agents=49"]));
-    assert!(
-        message("", &["ppo.epochs=4", "algorithm=commformer"])
-            .contains("5 or more with CommFormer")
-    );
 }
 
 #[test]

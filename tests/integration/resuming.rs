@@ -15,8 +15,6 @@ use crate::support::{INTERSECTION, folder, root};
 
 // Uses TraCI, because several trainers exist at once, and a process can have libsumo only once.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
-    // CommFormer's graph learns in the fifth pass.
-    let epochs = if algorithm == "commformer" { 5 } else { 2 };
     // Messages that are under way outlast a rollout.
     let channel = if encoder == "attention" {
         "[channel]\nbits = 8\nloss = 0.1\ndelay = 2\nfalsified = 0.2\n"
@@ -29,7 +27,7 @@ fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
          [simulation]\nbackend = 'traci'\n\
          [network]\nencoder = {encoder:?}\nhidden = 16\n\
          [iwol]\nrounds = 1\nlatent = 4\n\
-         [ppo]\nminibatch = 128\nepochs = {epochs}\n{channel}",
+         [ppo]\nminibatch = 128\nepochs = 2\n{channel}",
         root().join(INTERSECTION).display()
     );
     let document = Document { name: "test".to_owned(), text, generated: false };
