@@ -196,7 +196,7 @@ fn update(c: &mut Criterion) {
             actions: 1,
             choices: 0,
             memory: learner.memory(),
-            graphs: learner.graphs(),
+            graph_noise: learner.graph_noise(8),
         };
         let mut rollout = Rollout::new(sizes);
         rng::fill_normal(&mut Seed::new(1).rng(), &mut rollout.observation);

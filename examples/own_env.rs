@@ -32,7 +32,7 @@ impl Square {
             actions: vec![ActionDimension::named("x"), ActionDimension::named("y")].into(),
             observation: Features::of("goal", &["dx", "dy"].map(number)),
             state: Features::of("goal", &["dx", "dy"].map(number)),
-            metrics: Vec::new(),
+            ..EnvSpec::default()
         };
         Self { spec, robots: [[0.0; 4]; ROBOTS], step: 0, arrived: 0 }
     }

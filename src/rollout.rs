@@ -31,8 +31,9 @@ pub struct Sizes {
     pub choices: usize,
     /// Width M of what the policy remembers per agent in training (0: nothing).
     pub memory: usize,
-    /// Number G of communication graphs that the policy samples at each decision (0: none).
-    pub graphs: usize,
+    /// How many numbers per agent the noise of the policy's communication graphs has at each
+    /// decision (0: no graphs).
+    pub graph_noise: usize,
 }
 
 /// One rollout. All arrays are row-major.
@@ -57,8 +58,8 @@ pub struct Rollout {
     pub start: Vec<f32>,
     /// Memory of the policy before the decision, `[T + 1, E, N, M]`.
     pub memory: Vec<f32>,
-    /// Noise of the policy's communication graphs, which stand side by side in each row,
-    /// `[T + 1, E, N, G · N]`.
+    /// Noise of the policy's communication graphs, `[T + 1, E, N, ..]`: for each graph, side by
+    /// side, a number for each agent whom the agent in this row could hear.
     pub graph_noise: Vec<f32>,
     /// Actions as sampled, not clipped, `[T, E, N, A]`.
     pub action: Vec<f32>,
@@ -103,7 +104,7 @@ impl Rollout {
             active: vec![0.0; closed],
             start: vec![0.0; closed],
             memory: vec![0.0; closed * sizes.memory],
-            graph_noise: vec![0.0; closed * sizes.agents * sizes.graphs],
+            graph_noise: vec![0.0; closed * sizes.graph_noise],
             action: vec![0.0; rows * sizes.actions],
             log_prob: vec![0.0; rows * sizes.actions],
             carried: Vec::new(),
@@ -157,7 +158,7 @@ mod tests {
         #[test]
         fn chunks_partition_the_rollout(steps in 1usize..40, envs in 1usize..5, length in 1usize..11) {
             let rollout = Rollout::new(Sizes {
-                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, choices: 0, memory: 0, graphs: 0,
+                steps, envs, agents: 2, observation: 1, state: 1, actions: 1, choices: 0, memory: 0, graph_noise: 0,
             });
             let chunks = rollout.chunks(length);
             let mut rows = rollout.rows(&chunks, length);

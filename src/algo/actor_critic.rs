@@ -251,8 +251,8 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.memory() + self.copies[0].radio().map_or(0, |radio| radio.memory() as usize)
     }
 
-    fn graphs(&self) -> usize {
-        N::GRAPHS
+    fn graph_noise(&self, agents: usize) -> usize {
+        self.copies[0].graph_noise(agents as i64) as usize
     }
 
     fn graph_lasts(&self) -> bool {
@@ -307,10 +307,13 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
-        let imposed = N::GRAPHS > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
+        let imposed =
+            rollout.sizes.graph_noise > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
-        if N::VALUE_SAMPLES_GRAPH {
-            batch.value_graph = graph_noise(rollout, scale, self.device, seed.child("graph"));
+        let width = self.copies[0].critic().graph_noise(rollout.sizes.agents as i64);
+        if width > 0 {
+            batch.value_graph =
+                graph_noise(rollout, width, scale, self.device, seed.child("graph"));
         }
         let outputs = self.values(&mut batch, rollout);
         batch.estimate(rollout, &outputs, &self.value_norm, [ppo.gamma, ppo.gae_lambda], N::TEAM);

@@ -32,10 +32,10 @@ pub struct Batch {
     pub memory: Tensor,
     /// Memory of the value function before each row, `[(T + 1) · E, N, M]`.
     pub value_memory: Tensor,
-    /// Noise of the policy's G communication graphs side by side, `[(T + 1) · E, N, G · N]`; empty
-    /// for policies without a graph.
+    /// Noise of the policy's communication graphs, `[(T + 1) · E, N, ..]`; empty for policies
+    /// without a graph.
     pub policy_graph: Tensor,
-    /// Noise of the value function's communication graph, `[(T + 1) · E, N, N]`; empty for value
+    /// Noise of the value function's communication graph, `[(T + 1) · E, N, ..]`; empty for value
     /// functions without a graph.
     pub value_graph: Tensor,
     /// Actions as sampled, not clipped, `[T · E, N, A]`.
@@ -72,7 +72,7 @@ impl Batch {
         } else {
             tensor(&rollout.log_fresh, &per_step)
         };
-        let policy_graph = if s.graphs > 0 { [closed, n, n * s.graphs as i64] } else { [0, n, n] };
+        let policy_graph = if s.graph_noise > 0 { closed } else { 0 };
         Self {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
@@ -83,7 +83,7 @@ impl Batch {
             keep: start.ones_like() - start,
             memory: tensor(&rollout.memory, &[closed, n, s.memory as i64]),
             value_memory: Tensor::zeros([closed, n, 0], (Kind::Float, device)),
-            policy_graph: tensor(&rollout.graph_noise, &policy_graph),
+            policy_graph: tensor(&rollout.graph_noise, &[policy_graph, n, s.graph_noise as i64]),
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
@@ -279,8 +279,13 @@ impl Shard {
     /// listener, means over the active samples. `graph` and `comm` hold this shard's rows,
     /// `[L · C, N, N]`.
     pub fn edges(&self, graph: &Tensor, comm: &Tensor) -> [Tensor; 2] {
-        let counts = self.pick(&count_edges(graph, comm)).mean_dim(0, false, Kind::Float);
-        [counts.get(0), counts.get(1)]
+        self.mean_edges(&count_edges(graph, comm))
+    }
+
+    /// Returns the means of `counts [L · C, N, 2]` of this shard's rows over the active samples.
+    pub(super) fn mean_edges(&self, counts: &Tensor) -> [Tensor; 2] {
+        let means = self.pick(counts).mean_dim(0, false, Kind::Float);
+        [means.get(0), means.get(1)]
     }
 
     /// Returns the active samples of a tensor that holds this shard's rows only, `[L · C, N, …]` to
@@ -290,11 +295,17 @@ impl Shard {
     }
 }
 
-/// Draws logistic noise times `scale` for a graph in each row, `[(T + 1) · E, N, N]`.
-pub(super) fn graph_noise(rollout: &Rollout, scale: f64, device: Device, seed: Seed) -> Tensor {
+/// Draws logistic noise times `scale` for a graph in each row, with `width` numbers per agent,
+/// `[(T + 1) · E, N, width]`.
+pub(super) fn graph_noise(
+    rollout: &Rollout,
+    width: i64,
+    scale: f64,
+    device: Device,
+    seed: Seed,
+) -> Tensor {
     let s = rollout.sizes;
-    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * s.agents];
+    let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * width as usize];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
-    let agents = s.agents as i64;
-    (Tensor::from_slice(&noise).view([-1, agents, agents]) * scale).to_device(device)
+    (Tensor::from_slice(&noise).view([-1, s.agents as i64, width]) * scale).to_device(device)
 }

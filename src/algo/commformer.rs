@@ -130,7 +130,6 @@ impl Networks for CommFormer {
     const NAME: &'static str = "commformer";
     const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const SETTINGS: &'static [&'static str] = &["commformer", "transformer", "iwol"];
-    const GRAPHS: usize = 1;
     const GRAPH_LASTS: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];
     const PER_AGENT: Option<&'static str> = Some("graph/edges");
@@ -173,6 +172,10 @@ impl Networks for CommFormer {
 
     fn memory(&self) -> i64 {
         self.input.memory()
+    }
+
+    fn graph_noise(&self, agents: i64) -> i64 {
+        agents
     }
 
     fn critic(&self) -> &dyn ValueFunction {

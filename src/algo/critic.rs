@@ -16,6 +16,12 @@ pub trait ValueFunction {
     /// Returns the width of its memory per agent; 0 where it has none of its own.
     fn memory(&self) -> i64;
 
+    /// Returns how many numbers per agent the noise of its communication graph has, among N agents,
+    /// as [`Networks::graph_noise`](super::networks::Networks::graph_noise) does for the policy's.
+    fn graph_noise(&self, _agents: i64) -> i64 {
+        0
+    }
+
     /// Returns the values (normalised) at one decision, `[E, N]`; `None` where the value function
     /// has a memory, because that memory is not kept outside training.
     fn value(&self, input: &Observation, state: &Tensor) -> Option<Tensor>;

@@ -89,8 +89,8 @@ pub enum ActMode<'a> {
         /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
         /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
         carried: &'a Tensor,
-        /// Noise of G graphs side by side, standard logistic times the noise scale,
-        /// `[E, N, G · N]`; empty for policies without a graph.
+        /// Noise of the graphs, standard logistic times the noise scale, `[E, N, ..]`; empty for
+        /// policies without a graph.
         graph: &'a Tensor,
         /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
         /// independent from step to step.

@@ -16,7 +16,7 @@ use super::batch::{Batch, EDGES, Shard};
 use super::critic::{ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
-use super::message::{MessageCritic, MessageTrunk};
+use super::message::{MessageCritic, MessageTrunk, most_listed};
 use super::networks::{Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::policy::{PolicyHead, PolicyTerms, Ratio};
@@ -51,25 +51,27 @@ impl Networks for ExIwol {
     const LATENT: &'static [&'static str] = &["world"];
     const SETTINGS: &'static [&'static str] = &["iwol"];
     const MESSAGES: bool = true;
-    const GRAPHS: usize = 1;
-    const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
+        let radio = Radio::new(settings, spec.observation.len(), hidden, builder.device());
+        // What passes through the radio of training is different for each pair of agents.
+        let most = most_listed(spec).filter(|_| radio.is_none());
         Self {
             trunk: MessageTrunk::new(
                 builder.of(ACTOR).sub("trunk"),
                 &spec.observation,
                 network,
                 iwol,
+                most,
             ),
             head: PolicyHead::of_actor(builder, message + hidden, spec, settings),
             world: WorldDecoder::new(builder.of(ACTOR).sub("world"), spec, settings, message),
             trained: iwol.lambda_world > 0.0,
             critic: MessageCritic::new(builder.of(CRITIC), spec, network, iwol),
-            radio: Radio::new(settings, spec.observation.len(), hidden, builder.device()),
+            radio,
         }
     }
 
@@ -79,6 +81,10 @@ impl Networks for ExIwol {
 
     fn memory(&self) -> i64 {
         self.trunk.memory()
+    }
+
+    fn graph_noise(&self, agents: i64) -> i64 {
+        self.trunk.graph_noise(agents)
     }
 
     fn critic(&self) -> &dyn ValueFunction {
@@ -117,7 +123,7 @@ impl Networks for ExIwol {
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
-        Some(self.exchange(input).graph)
+        Some(self.exchange(input).full_graph())
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
@@ -127,7 +133,7 @@ impl Networks for ExIwol {
 
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene, self.radio.as_ref());
-        let [open, possible] = shard.edges(&messages.graph, &scene.comm);
+        let [open, possible] = messages.edges(shard, &scene);
         let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);

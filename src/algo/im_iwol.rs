@@ -126,7 +126,6 @@ impl Networks for ImIwol {
     const NAME: &'static str = "im-iwol";
     const LATENT: &'static [&'static str] = &["world", "interaction"];
     const SETTINGS: &'static [&'static str] = &["iwol"];
-    const VALUE_SAMPLES_GRAPH: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world.", "interaction."];
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {

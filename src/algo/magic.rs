@@ -46,7 +46,7 @@ use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
 use crate::env::EnvSpec;
-use crate::nn::{GraphAttention, Packing, Scheduler, ValueNorm};
+use crate::nn::{Graph, GraphAttention, Packing, Scheduler, ValueNorm};
 
 /// Settings of MAGIC.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
@@ -124,7 +124,8 @@ impl Magic {
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
         let (message, [first, second]) =
             self.communicate(&embedding, &packing, &scene.comm, scene.noise.as_ref());
-        Messages { message, embedding, graph: first.maximum(&second), packing, memory }
+        let graph = Graph::Full(first.maximum(&second));
+        Messages { message, embedding, graph, packing, memory }
     }
 }
 
@@ -133,7 +134,6 @@ impl Networks for Magic {
     const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const MESSAGES: bool = true;
     const SETTINGS: &'static [&'static str] = &["magic", "iwol"];
-    const GRAPHS: usize = 2;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
@@ -177,6 +177,10 @@ impl Networks for Magic {
         self.encoder.memory()
     }
 
+    fn graph_noise(&self, agents: i64) -> i64 {
+        2 * agents
+    }
+
     fn critic(&self) -> &dyn ValueFunction {
         &self.critic
     }
@@ -216,14 +220,14 @@ impl Networks for Magic {
     }
 
     fn graph(&self, input: &Observation) -> Option<Tensor> {
-        Some(self.exchange(&Scene::of(input, None), None).graph)
+        Some(self.exchange(&Scene::of(input, None), None).full_graph())
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
         let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.exchange(&scene, self.radio.as_ref());
-        let [open, possible] = shard.edges(&messages.graph, &scene.comm);
+        let [open, possible] = messages.edges(shard, &scene);
         let [message, embedding] =
             shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);

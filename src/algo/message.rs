@@ -14,7 +14,7 @@ use super::radio::Radio;
 use super::scene::{Messages, Scene};
 use super::settings::{Iwol, Network};
 use crate::env::{EnvSpec, Features};
-use crate::nn::{CommGraph, GraphTransformer, Init, Linear, Mlp, Packing, Path};
+use crate::nn::{CommGraph, Graph, GraphTransformer, Init, Linear, Mlp, Neighbours, Packing, Path};
 
 /// The message path: from the observations of all agents to embeddings f and messages m.
 #[derive(Debug)]
@@ -23,6 +23,19 @@ pub(super) struct MessageTrunk {
     graph: CommGraph,
     transformer: GraphTransformer,
     hidden: i64,
+    /// Number K of neighbours in a list, where the graph has only edges to listed neighbours.
+    most: Option<i64>,
+}
+
+/// A graph over lists of K neighbours takes less time than one of all pairs if there are more than
+/// this many times as many agents (measured on a CPU, for K from 8 to 16).
+const AGENTS_PER_NEIGHBOUR: i64 = 8;
+
+/// Returns the length of the lists of neighbours in graphs among the agents of an environment;
+/// `None` where a graph of all pairs is no slower.
+pub(super) fn most_listed(spec: &EnvSpec) -> Option<i64> {
+    let most = spec.most_heard? as i64;
+    (spec.agents as i64 > AGENTS_PER_NEIGHBOUR * most).then_some(most)
 }
 
 impl MessageTrunk {
@@ -31,6 +44,7 @@ impl MessageTrunk {
         features: &Features,
         network: &Network,
         iwol: &Iwol,
+        most: Option<i64>,
     ) -> Self {
         let (hidden, message) = (network.hidden, iwol.message);
         let transformer = path.sub("transformer");
@@ -40,11 +54,17 @@ impl MessageTrunk {
             graph: CommGraph::new(path.sub("graph"), hidden, message, iwol.graph_bias),
             transformer,
             hidden,
+            most,
         }
     }
 
     pub(super) fn memory(&self) -> i64 {
         self.encoder.memory()
+    }
+
+    /// Returns how many numbers per agent the noise of the graph has, among N agents.
+    pub(super) fn graph_noise(&self, agents: i64) -> i64 {
+        self.most.unwrap_or(agents)
     }
 
     /// Returns the width of an embedding, which is what agents send.
@@ -101,8 +121,9 @@ impl MessageTrunk {
         let edges = of_everyone(comm) * arrived;
         let (all, packing) = (known.reshape([rows * agents, -1]), Packing::full(rows, agents));
         let graph = self.graph.forward(&all, &packing, &edges, noise.map(of_everyone).as_ref());
+        let graph = Graph::Full(graph);
         let made = packing.unpack(&self.transformer.forward(&all, &packing, &graph));
-        (of_receivers(&made), of_receivers(&graph))
+        (of_receivers(&made), of_receivers(&graph.full(&packing)))
     }
 
     /// Computes the message path. Messages pass through the radio of training, or arrive as they
@@ -115,7 +136,16 @@ impl MessageTrunk {
         }
         let packing = scene.packing();
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
-        let graph = self.graph.forward(&embedding, &packing, &scene.comm, scene.noise.as_ref());
+        let noise = scene.noise.as_ref();
+        let graph = match self.most {
+            None => Graph::Full(self.graph.forward(&embedding, &packing, &scene.comm, noise)),
+            Some(most) => {
+                let neighbours = Neighbours::of(&scene.comm, &packing, most);
+                let noise = noise.map(|noise| packing.pack(noise));
+                let edges = self.graph.forward_listed(&embedding, &neighbours, noise.as_ref());
+                Graph::Listed { neighbours, edges }
+            }
+        };
         let message = self.transformer.forward(&embedding, &packing, &graph);
         Messages { message, embedding, graph, packing, memory }
     }
@@ -140,7 +170,13 @@ impl MessageCritic {
         let state = iwol.privileged_value.then(|| mlp(path.sub("state")));
         let read = iwol.message + hidden + if state.is_some() { hidden } else { 0 };
         Self {
-            trunk: MessageTrunk::new(path.sub("trunk"), &spec.observation, network, iwol),
+            trunk: MessageTrunk::new(
+                path.sub("trunk"),
+                &spec.observation,
+                network,
+                iwol,
+                most_listed(spec),
+            ),
             state,
             value: Linear::new(path.sub("value"), read, 1, Init::Orthogonal(1.0)),
         }
@@ -151,7 +187,7 @@ impl MessageCritic {
     pub(super) fn shard(&self, batch: &Batch, shard: &Shard) -> (Tensor, Tensor, [Tensor; 2]) {
         let scene = Scene::of_shard(batch, shard, &batch.value_memory, &batch.value_graph);
         let messages = self.trunk.forward(&scene, None);
-        let edges = shard.edges(&messages.graph, &scene.comm);
+        let edges = messages.edges(shard, &scene);
         let Some(state) = &self.state else {
             let read = Tensor::cat(&[&messages.message, &messages.embedding], -1);
             let value = self.value.forward(&read).squeeze_dim(-1);
@@ -193,6 +229,10 @@ impl MessageCritic {
 impl ValueFunction for MessageCritic {
     fn memory(&self) -> i64 {
         self.trunk.memory()
+    }
+
+    fn graph_noise(&self, agents: i64) -> i64 {
+        self.trunk.graph_noise(agents)
     }
 
     /// Returns the values over the most likely graph.

@@ -286,8 +286,9 @@ pub trait Algorithm {
         false
     }
 
-    /// Returns the number G of communication graphs that the policy samples at each decision.
-    fn graphs(&self) -> usize {
+    /// Returns how many numbers per agent the noise of the policy's communication graphs has, among
+    /// `agents` agents; 0 for policies that sample no graph.
+    fn graph_noise(&self, _agents: usize) -> usize {
         0
     }
 

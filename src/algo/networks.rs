@@ -33,13 +33,9 @@ pub trait Networks: Sized + Send {
     const LATENT: &'static [&'static str] = &[];
     /// Groups of settings that the networks read, besides those common to all methods.
     const SETTINGS: &'static [&'static str] = &[];
-    /// Number of communication graphs that the policy samples at each decision.
-    const GRAPHS: usize = 0;
     /// Whether a world keeps the noise of its graph for a whole rollout, so that the graph is the
     /// same at each decision.
     const GRAPH_LASTS: bool = false;
-    /// Whether the value function samples a communication graph.
-    const VALUE_SAMPLES_GRAPH: bool = false;
     /// Name prefixes of the actor's parameters that a deployed policy does not need.
     const TRAINING_ONLY: &'static [&'static str] = &[];
 
@@ -62,6 +58,13 @@ pub trait Networks: Sized + Send {
 
     /// Returns the width M of the policy's memory per agent.
     fn memory(&self) -> i64;
+
+    /// Returns how many numbers per agent the noise of the policy's communication graphs has, among
+    /// N agents: N for each graph that the policy samples at a decision, K for a graph over lists of
+    /// K neighbours, or 0.
+    fn graph_noise(&self, _agents: i64) -> i64 {
+        0
+    }
 
     /// Returns what rounding, delay and false messages do in training; `None` where messages are at
     /// most lost, and for methods without messages.

@@ -15,6 +15,7 @@ use super::decision::{ActMode, Observation};
 use super::encoder::Encoder;
 use super::scene::{Messages, Scene};
 use super::settings::Settings;
+use crate::nn::Graph;
 use crate::rng::{self, Rng, Seed};
 
 /// Number of different false messages.
@@ -99,7 +100,7 @@ impl Radio {
         Messages {
             message: packing.pack(&made.view([rows, agents, -1])),
             embedding: packing.pack(&f),
-            graph: graph.view([rows, agents, agents]),
+            graph: Graph::Full(graph.view([rows, agents, agents])),
             packing,
             memory,
         }

@@ -5,7 +5,7 @@ use tch::Tensor;
 use super::batch::{Batch, Shard};
 use super::decision::Observation;
 use super::encoder::{Encoder, encode_rows};
-use crate::nn::Packing;
+use crate::nn::{Graph, Packing};
 
 /// Rows `[L · C]` of C sequences of L steps, with all N agents.
 pub(super) struct Scene {
@@ -20,8 +20,8 @@ pub(super) struct Scene {
     /// The number of the false message that each agent hears from another, counted from 1, or 0,
     /// `[L · C, N, N]`; see `radio.rs`.
     pub(super) replaced: Option<Tensor>,
-    /// Noise of the communication graphs, `[L · C, N, G · N]`; without it, graphs are the most
-    /// likely ones.
+    /// Noise of the communication graphs, `[L · C, N, G · N]`, or `[L · C, N, K]` where graphs are
+    /// lists of K neighbours; without it, graphs are the most likely ones.
     pub(super) noise: Option<Tensor>,
     /// Number of steps L.
     pub(super) length: i64,
@@ -37,12 +37,25 @@ pub(super) struct Messages {
     pub(super) message: Tensor,
     /// Embeddings f, `[P, H]`.
     pub(super) embedding: Tensor,
-    /// Communication graph, `[L · C, N, N]`, row = listener.
-    pub(super) graph: Tensor,
+    /// Communication graph of the rows.
+    pub(super) graph: Graph,
     /// Positions of the present agents among `[L · C, N]`.
     pub(super) packing: Packing,
     /// Memory of the encoder after each step, `[L, C · N, M]`.
     pub(super) memory: Option<Tensor>,
+}
+
+impl Messages {
+    /// Returns the graph as an edge of 0 or 1 for every ordered pair of slots, `[L · C, N, N]`.
+    pub(super) fn full_graph(&self) -> Tensor {
+        self.graph.full(&self.packing)
+    }
+
+    /// Returns how many edges of the graph are open and how many are physically possible per
+    /// listener, means over the active samples of a shard, whose rows are `scene`.
+    pub(super) fn edges(&self, shard: &Shard, scene: &Scene) -> [Tensor; 2] {
+        shard.mean_edges(&self.graph.count_edges(&scene.comm, &self.packing))
+    }
 }
 
 /// Returns a tensor that has elements.

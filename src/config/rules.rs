@@ -11,7 +11,7 @@ impl Config {
     /// values; `None` if there is none.
     pub(super) fn broken_rule(&self) -> Option<(&'static [&'static str], &'static str)> {
         let (train, learner) = (&self.train, &self.learner);
-        let algo::Settings { network, ppo, exploration, .. } = learner;
+        let algo::Settings { network, exploration, .. } = learner;
         let samples =
             train.envs.saturating_mul(train.rollout_steps).saturating_mul(self.agents as usize);
         let method = algo::capabilities(&self.algorithm).ok();

@@ -159,6 +159,7 @@ impl TrafficJunction {
             actions: ActionSpace::Discrete(vec!["move", "stay"]),
             observation,
             state,
+            most_heard: None,
             metrics: vec![
                 OwnMetric::count("collisions", Better::Lower),
                 OwnMetric::count("cars", Better::Neither),

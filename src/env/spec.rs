@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a learner must know about an environment. Only [`EnvSpec::agents`] depends on the number of
 /// vehicles.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Default)]
 pub struct EnvSpec {
     /// Number of agent slots N.
     pub agents: usize,
@@ -14,6 +14,9 @@ pub struct EnvSpec {
     pub observation: Features,
     /// The S features of the privileged state as seen from one agent.
     pub state: Features,
+    /// Largest number of other agents that an agent can hear at a time; `None` if it may hear all
+    /// of them. Where it is much smaller than the number of agents, methods can save time.
+    pub most_heard: Option<usize>,
     /// Metrics of an episode that the environment defines by itself.
     pub metrics: Vec<OwnMetric>,
 }
@@ -70,6 +73,12 @@ pub enum Better {
     /// Neither: the metric describes the episodes.
     #[default]
     Neither,
+}
+
+impl Default for ActionSpace {
+    fn default() -> Self {
+        Self::Continuous(Vec::new())
+    }
 }
 
 /// What an agent can do.

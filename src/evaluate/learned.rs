@@ -45,7 +45,7 @@ impl Controller for LearnedPolicy<'_> {
                 actions: 0,
                 choices: spec.actions.choices().unwrap_or(0),
                 memory: 0,
-                graphs: 0,
+                graph_noise: 0,
             }),
             memory: Tensor::new(),
         };

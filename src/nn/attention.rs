@@ -2,7 +2,7 @@
 
 use tch::{Kind, Tensor};
 
-use super::{Init, Linear, Packing, Path};
+use super::{Init, Linear, Neighbours, Packing, Path};
 
 /// A mask on attention with logits `[B, heads, T, T]`.
 #[derive(Debug, Clone, Copy)]
@@ -13,6 +13,9 @@ pub enum Mask<'a> {
     /// A graph `[B, 1, Q, T]` of 0 and 1, by which the weights are multiplied before they are
     /// normalised (`graph_softmax`).
     Graph(&'a Tensor),
+    /// Edges `[P, K]` of 0 and 1 to the agents that each of the P tokens can hear. Every token also
+    /// has an open edge to itself.
+    Listed(&'a Neighbours, &'a Tensor),
 }
 
 /// Scaled dot-product self-attention. Queries, keys and values come from one fused linear layer.
@@ -41,8 +44,29 @@ impl SelfAttention {
     /// Maps tokens `x: [P, width]` of the occupied slots of a packing to the same shape. The mask
     /// must exclude empty slots.
     pub fn forward(&self, x: &Tensor, packing: &Packing, mask: Mask<'_>) -> Tensor {
+        if let Mask::Listed(neighbours, edges) = mask {
+            return self.forward_listed(x, neighbours, edges);
+        }
         let [queries, keys, values] = self.project(&packing.unpack(&self.qkv.forward(x)));
         self.out.forward(&packing.pack(&Self::mix(&queries, &keys, &values, mask)))
+    }
+
+    /// Computes [`SelfAttention::forward`] over [`Mask::Listed`].
+    fn forward_listed(&self, x: &Tensor, neighbours: &Neighbours, edges: &Tensor) -> Tensor {
+        let (tokens, most) = neighbours.size();
+        let qkv = self.qkv.forward(x).view([tokens, 3, -1]).unbind(1);
+        let head = qkv[0].size()[1] / self.heads;
+        let heard = |x: &Tensor| {
+            neighbours.of_self_and_senders(x).view([tokens, 1 + most, self.heads, head])
+        };
+        let queries = qkv[0].view([tokens, 1, self.heads, head]) * (1.0 / (head as f64).sqrt());
+        let logits = (heard(&qkv[1]) * queries).sum_dim_intlist(-1, false, Kind::Float);
+        let graph =
+            Tensor::cat(&[&edges.new_ones([tokens, 1], (Kind::Float, edges.device())), edges], 1);
+        let weights = graph_softmax(&logits.transpose(1, 2), &graph.unsqueeze(1)).transpose(1, 2);
+        let mixed = heard(&qkv[2]) * weights.unsqueeze(-1);
+        let mixed = mixed.sum_dim_intlist(1, false, Kind::Float);
+        self.out.forward(&mixed.view([tokens, -1]))
     }
 
     /// Computes [`SelfAttention::forward`] for one token of each row, where every slot is occupied:
@@ -75,6 +99,7 @@ impl SelfAttention {
         let weights = match mask {
             Mask::Add(bias) => softmax(&(logits + bias)),
             Mask::Graph(graph) => graph_softmax(&logits, graph),
+            Mask::Listed(..) => unreachable!("lists have attention of their own"),
         };
         weights.matmul(values).transpose(1, 2).reshape([batch, count, heads * head])
     }

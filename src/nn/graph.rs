@@ -10,7 +10,45 @@ use std::f64::consts::SQRT_2;
 
 use tch::{Kind, Tensor};
 
-use super::{Init, Mlp, Packing, Path};
+use super::{Init, Mlp, Neighbours, Packing, Path};
+
+/// A communication graph: which agents each agent listens to. Every agent listens to itself.
+#[derive(Debug)]
+pub enum Graph {
+    /// An edge of 0 or 1 for every ordered pair of slots, `[B, N, N]`, row = listener.
+    Full(Tensor),
+    /// Edges to the agents that each of the P agents of a packing can hear.
+    Listed {
+        /// Who they are.
+        neighbours: Neighbours,
+        /// 0 or 1 for each entry of the lists, `[P, K]`.
+        edges: Tensor,
+    },
+}
+
+impl Graph {
+    /// Returns the graph as an edge of 0 or 1 for every ordered pair of slots, `[B, N, N]`.
+    pub fn full(&self, packing: &Packing) -> Tensor {
+        match self {
+            Self::Full(graph) => graph.shallow_clone(),
+            Self::Listed { neighbours, edges } => {
+                with_self_loops(&neighbours.to_full(edges, packing))
+            }
+        }
+    }
+
+    /// Returns for each listener how many of its edges to other agents are open and how many are
+    /// physically possible, `[B, N, 2]`, without gradient.
+    pub fn count_edges(&self, physical: &Tensor, packing: &Packing) -> Tensor {
+        match self {
+            Self::Full(graph) => count_edges(graph, physical),
+            Self::Listed { neighbours, edges } => tch::no_grad(|| {
+                let sum = |x: &Tensor| x.sum_dim_intlist(-1, false, Kind::Float);
+                packing.unpack(&Tensor::stack(&[sum(edges), sum(neighbours.possible())], -1))
+            }),
+        }
+    }
+}
 
 /// Scores pairs of agents and decides on edges.
 #[derive(Debug)]
@@ -69,6 +107,20 @@ impl CommGraph {
         noise: Option<&Tensor>,
     ) -> Tensor {
         sample_edges(&self.scores(f, packing), physical, noise)
+    }
+
+    /// Returns the edges of [`CommGraph::forward`] to the agents that each agent can hear, `[P, K]`.
+    /// `noise` is `[P, K]`.
+    pub fn forward_listed(
+        &self,
+        f: &Tensor,
+        neighbours: &Neighbours,
+        noise: Option<&Tensor>,
+    ) -> Tensor {
+        let halves = self.halves(f);
+        let possible = neighbours.possible();
+        let senders = neighbours.of_senders(&halves.select(1, 1)).view_as(possible);
+        possible_edges(&self.leaky(&(halves.narrow(1, 0, 1) + senders)), possible, noise)
     }
 
     /// Returns one row of [`CommGraph::forward`], with all agents present: which agents the agent in

@@ -62,6 +62,29 @@ impl Packing {
         tensors.map(|x| x.index_select(0, positions.as_ref().unwrap_or(samples)))
     }
 
+    /// Returns the indices of agents among all `rows × places` slots from their positions among the
+    /// P occupied ones, `[K]`.
+    pub(super) fn slots(&self, positions: &Tensor) -> Tensor {
+        let filled = self.filled.as_ref();
+        filled.map_or_else(|| positions.shallow_clone(), |filled| filled.index_select(0, positions))
+    }
+
+    /// Returns the positions among the P occupied slots of the agents in slot `place: [K]` of the
+    /// row of another agent, whose position is `other: [K]`. Those slots must be occupied.
+    pub(super) fn positions_in_row(&self, other: &Tensor, place: &Tensor) -> Tensor {
+        let row = self.slots(other).floor_divide_scalar(self.places);
+        let slot = row * self.places + place;
+        self.filled.as_ref().map_or_else(
+            || slot.shallow_clone(),
+            |filled| {
+                let all = self.rows * self.places;
+                let numbers = Tensor::arange(filled.size()[0], (Kind::Int64, filled.device()));
+                let empty = Tensor::zeros([all], (Kind::Int64, filled.device()));
+                empty.index_copy(0, filled, &numbers).index_select(0, &slot)
+            },
+        )
+    }
+
     /// Returns the number of rows and the number of slots per row.
     pub fn size(&self) -> (i64, i64) {
         (self.rows, self.places)

@@ -10,7 +10,9 @@ use std::f64::consts::SQRT_2;
 
 use tch::Tensor;
 
-use super::{Activation, Init, Layer, LayerNorm, Linear, Mask, Packing, Path, SelfAttention};
+use super::{
+    Activation, Graph, Init, Layer, LayerNorm, Linear, Mask, Packing, Path, SelfAttention,
+};
 
 /// The second half of a post-norm transformer block: a perceptron of the same width, whose output is
 /// added to its input and normalised.
@@ -130,16 +132,19 @@ impl GraphTransformer {
         }
     }
 
-    /// Maps features `f: [P, H]` of the agents in the `B` rows of a packing, over the graph
-    /// `G: [B, N, N]` (0 or 1, row = listener), to messages `[P, D]`. Every agent must listen to at
-    /// least one agent, usually itself, and none to an empty slot.
-    pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Tensor) -> Tensor {
-        let mut x = self.embed(f);
-        let mask = graph.unsqueeze(1);
-        for block in &self.blocks {
-            x = block.forward(&x, packing, Mask::Graph(&mask));
-        }
-        self.output(&x)
+    /// Maps features `f: [P, H]` of the agents in the `B` rows of a packing to messages `[P, D]`,
+    /// over a graph in which no agent listens to an empty slot.
+    pub fn forward(&self, f: &Tensor, packing: &Packing, graph: &Graph) -> Tensor {
+        let full;
+        let mask = match graph {
+            Graph::Full(graph) => {
+                full = graph.unsqueeze(1);
+                Mask::Graph(&full)
+            }
+            Graph::Listed { neighbours, edges } => Mask::Listed(neighbours, edges),
+        };
+        let round = |x: Tensor, block: &Block| block.forward(&x, packing, mask);
+        self.output(&self.blocks.iter().fold(self.embed(f), round))
     }
 
     /// Computes [`GraphTransformer::forward`] for one agent of each row, with all agents present
@@ -200,7 +205,11 @@ mod tests {
     /// Returns the messages `[B, N, H]` where all agents are present.
     fn messages(network: &GraphTransformer, f: &Tensor, graph: &Tensor) -> Tensor {
         let packing = Packing::full(f.size()[0], AGENTS);
-        packing.unpack(&network.forward(&f.flatten(0, 1), &packing, graph))
+        packing.unpack(&network.forward(
+            &f.flatten(0, 1),
+            &packing,
+            &Graph::Full(graph.shallow_clone()),
+        ))
     }
 
     fn uniform(shape: &[i64], seed: u64) -> Tensor {
@@ -263,7 +272,8 @@ mod tests {
             (uniform(&[3, AGENTS, WIDTH], 2), uniform(&[3, AGENTS, AGENTS], 3).gt(-0.3));
         let (flat, packing) = (f.flatten(0, 1), Packing::full(3, AGENTS));
         let graph = scheduler.forward(&flat, &packing, &physical, None);
-        let all = packing.unpack(&network.forward(&flat, &packing, &graph));
+        let all =
+            packing.unpack(&network.forward(&flat, &packing, &Graph::Full(graph.shallow_clone())));
         let places = [4_i64, 0, 2];
         let place = Tensor::from_slice(&places);
         let of = |x: &Tensor| {
@@ -357,7 +367,11 @@ mod tests {
             crate::nn::graph::with_self_loops(&(present.unsqueeze(1) * present.unsqueeze(2)));
         let f = uniform(&[3, AGENTS, WIDTH], 5);
         let packing = Packing::of(&present);
-        let packed = packing.unpack(&network.forward(&packing.pack(&f), &packing, &graph));
+        let packed = packing.unpack(&network.forward(
+            &packing.pack(&f),
+            &packing,
+            &Graph::Full(graph.shallow_clone()),
+        ));
         let all = messages(&network, &f, &graph) * present.unsqueeze_(-1);
         assert!((packed - all).abs().max().double_value(&[]) < 1e-5);
     }

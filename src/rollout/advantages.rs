@@ -110,7 +110,7 @@ impl Rollout {
             state: 0,
             actions: 0,
             memory: 0,
-            graphs: 0,
+            graph_noise: 0,
             ..self.sizes
         });
         team.interrupted.clone_from(&self.interrupted);
@@ -151,7 +151,7 @@ mod tests {
             actions: 1,
             choices: 0,
             memory: 0,
-            graphs: 0,
+            graph_noise: 0,
         });
         // Each slot plays one trajectory after another and is inactive between them.
         for k in 0..width {
@@ -208,7 +208,7 @@ mod tests {
             actions: 1,
             choices: 0,
             memory: 0,
-            graphs: 0,
+            graph_noise: 0,
         };
         let standing = |truncated: f32, interrupted: f32, bootstrap_horizon: bool| {
             let mut rollout = Rollout { bootstrap_horizon, ..Rollout::new(sizes) };
@@ -244,7 +244,7 @@ mod tests {
             actions: 1,
             choices: 0,
             memory: 0,
-            graphs: 0,
+            graph_noise: 0,
         };
         let mut rollout = Rollout::new(sizes);
         for t in 0..steps {
@@ -304,7 +304,7 @@ mod tests {
             cooperation in 0.0f64..1.0,
         ) {
             let sizes =
-                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, choices: 0, memory: 0, graphs: 0 };
+                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, choices: 0, memory: 0, graph_noise: 0 };
             let (rows, flag) = (8, |b: bool| f32::from(u8::from(b)));
             let mut rollout = Rollout { cooperation, ..Rollout::new(sizes) };
             rollout.active[..rows * agents].iter_mut().zip(&active).for_each(|(to, from)| *to = flag(*from));

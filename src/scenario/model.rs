@@ -373,6 +373,9 @@ element! {
     pub struct Communication {
         /// Communication range d_comm of the physical mask \[m\].
         pub range: f64,
+        /// Largest number of other agents that an agent can hear, the nearest ones; 0: all within
+        /// the range.
+        pub nearest: usize,
     }
 }
 

@@ -59,12 +59,12 @@ impl Trainer {
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                 }
                 let log_fresh = f64::from(noise.log_fresh());
-                let graph = if s.graphs > 0 {
+                let graph = if s.graph_noise > 0 {
                     if self.learner.graph_lasts() {
                         rng = seed.child("graph").rng();
                     }
                     store_graph_noise(&mut self.rollout, t, schedule, rng);
-                    let cell = self.rollout.at(t, s.agents * s.graphs);
+                    let cell = self.rollout.at(t, s.graph_noise);
                     Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
                 } else {
                     Tensor::zeros([0], FLOAT)
@@ -153,7 +153,7 @@ fn store_row(worlds: &dyn Worlds, memory: &Tensor, rollout: &mut Rollout, t: usi
 
 /// Stores row `t` of the communication graphs' noise, whose scale is e to the power of `schedule`.
 fn store_graph_noise(rollout: &mut Rollout, t: usize, schedule: f32, mut rng: Rng) {
-    let row = rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs);
+    let row = rollout.at(t, rollout.sizes.graph_noise);
     let noise = &mut rollout.graph_noise[row];
     rng::fill_logistic(&mut rng, noise);
     for noise in noise {
@@ -282,9 +282,7 @@ mod tests {
         let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
         trainer.collect(Seed::new(1)).expect("SUMO runs");
         let rollout = &trainer.rollout;
-        let row = |t: usize| {
-            &rollout.graph_noise[rollout.at(t, rollout.sizes.agents * rollout.sizes.graphs)]
-        };
+        let row = |t: usize| &rollout.graph_noise[rollout.at(t, rollout.sizes.graph_noise)];
         assert!(row(0).iter().any(|&noise| noise != 0.0), "{:?}", row(0));
         for t in 1..=rollout.sizes.steps {
             assert_eq!(row(t), row(0), "{t}");

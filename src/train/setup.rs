@@ -52,7 +52,7 @@ impl Trainer {
             actions: spec.actions.len(),
             choices: spec.actions.choices().unwrap_or(0),
             memory: learner.training_memory(),
-            graphs: learner.graphs(),
+            graph_noise: learner.graph_noise(spec.agents),
         };
         let shape = [envs as i64, spec.agents as i64, learner.training_memory() as i64];
         let count = envs * spec.agents * learner.training_memory();

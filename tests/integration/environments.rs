@@ -60,6 +60,7 @@ impl Line {
             actions: vec![ActionDimension::named("speed")].into(),
             observation: features(),
             state: features(),
+            most_heard: None,
             metrics: vec![OwnMetric::new("steps", Better::Lower)],
         };
         Self { spec, agents: [[0.0; 2]; AGENTS], step: 0, arrived: 0, mistake }
@@ -417,6 +418,7 @@ impl Row {
             actions: ActionSpace::Discrete(vec!["down", "stay", "up"]),
             observation: features(),
             state: features(),
+            most_heard: None,
             metrics: Vec::new(),
         };
         Self { spec, agents: [[0; 2]; AGENTS], step: 0, arrived: 0 }

@@ -11,8 +11,8 @@ use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, UpdateParameters, p
 use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features};
 use iwol_sumo::nn::graph::{sample_best, with_self_loops};
 use iwol_sumo::nn::{
-    Adam, CommGraph, Decoded, Entity, GraphAttention, GraphTransformer, Gru, Init, Mixer, Mlp,
-    Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, TransformerDecoder,
+    Adam, CommGraph, Decoded, Entity, Graph, GraphAttention, GraphTransformer, Gru, Init, Mixer,
+    Mlp, Packing, Params, Path, Reach, RelationBlock, Scheduler, TokenGroup, TransformerDecoder,
     ValueNorm, categorical_entropy, categorical_log_probs, gaussian_entropy, gaussian_log_prob,
 };
 use iwol_sumo::rng::Seed;
@@ -204,7 +204,8 @@ fn transformer_over_a_graph() {
     let (params, transformer) = case.network(|path| GraphTransformer::new(path, 8, 8, 2, 2));
     let (f, graph) = (case.input("f"), case.input("graph"));
     let (flat, packing) = all_places(&f);
-    let out = packing.unpack(&transformer.forward(&flat, &packing, &graph));
+    let out =
+        packing.unpack(&transformer.forward(&flat, &packing, &Graph::Full(graph.shallow_clone())));
     case.check("out", &out);
     let qkv = parameter(&params, "rounds.0.attention.qkv.weight");
     case.check_gradients(&out, &[("grad_f", &f), ("grad_graph", &graph), ("grad_qkv", &qkv)]);
@@ -305,6 +306,7 @@ fn maddpg() {
         actions: dimensions(1).into(),
         observation: features(4),
         state: features(3),
+        most_heard: None,
         metrics: Vec::new(),
     };
     let mut settings = small();
@@ -322,7 +324,7 @@ fn maddpg() {
         actions: 1,
         choices: 0,
         memory: 0,
-        graphs: 0,
+        graph_noise: 0,
     };
     let numbers = |key: &str| Vec::<f32>::try_from(case.get(key).reshape([-1])).expect("numbers");
     let mut rollout = Rollout::new(sizes);
@@ -374,6 +376,7 @@ fn decisions_and_values() {
             actions: dimensions(actions).into(),
             observation: features(4),
             state: features(3),
+            most_heard: None,
             metrics: Vec::new(),
         };
         let mut settings = small();

@@ -464,7 +464,7 @@ prop_compose! {
                 horizon, wreck_time: p[8], border: Border::NAMES[counts[1] % 2].1,
                 broken_lines: ["a", "b_1"].iter().take(counts[2] % 3).map(|&edge| edge.into()).collect(),
             },
-            communication: Communication { range: p[9] },
+            communication: Communication { range: p[9], nearest: counts[2] },
             occlusion: (counts[1] % 4 == 0).then(|| Occlusion {
                 file: "some/folder/walls.add.xml".into(),
                 types: ["building", "wall"].iter().take(counts[0] % 3).map(|&kind| kind.into()).collect(),

@@ -107,6 +107,7 @@ impl Critic {
                 &spec.observation,
                 network,
                 &settings.iwol,
+                None,
             );
             (CriticInput::Messages(Box::new(trunk)), hidden + settings.iwol.message)
         } else {

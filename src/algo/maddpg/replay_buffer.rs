@@ -163,7 +163,7 @@ impl ReplayBuffer {
         };
         let kept = self.stored.min(self.capacity);
         let sizes =
-            [s.steps, s.envs, s.agents, s.observation, s.state, s.actions, s.memory, s.graphs]
+            [s.steps, s.envs, s.agents, s.observation, s.state, s.actions, s.memory, s.graph_noise]
                 .map(|x| x as i64);
         let counts: Vec<i64> = [self.stored].into_iter().chain(sizes).collect();
         let arrays = NAMES
@@ -187,7 +187,7 @@ impl ReplayBuffer {
         let [stored, ref sizes @ ..] = counts[..] else {
             return Err(nn::Error::Missing { name: "replay_memory/counts".to_owned() });
         };
-        let &[steps, envs, agents, observation, width, actions, memory, graphs] = sizes else {
+        let &[steps, envs, agents, observation, width, actions, memory, graph_noise] = sizes else {
             return Err(nn::Error::Missing { name: "replay_memory/counts".to_owned() });
         };
         let size = |x: i64| x.max(0) as usize;
@@ -201,7 +201,7 @@ impl ReplayBuffer {
             // The method is for continuous actions.
             choices: 0,
             memory: size(memory),
-            graphs: size(graphs),
+            graph_noise: size(graph_noise),
         });
         // The state holds all rollouts stored before, or as many as had room. In a full buffer the
         // number stored tells which one is the oldest.
@@ -257,7 +257,7 @@ mod tests {
             actions: 1,
             choices: 0,
             memory: 0,
-            graphs: 0,
+            graph_noise: 0,
         };
         let mut rollout = Rollout::new(sizes);
         for env in 0..ENVS {

@@ -100,7 +100,7 @@ pub(super) fn run(args: &Act) -> anyhow::Result<()> {
 }
 
 /// Times decisions on random observations of vehicles that are all in communication range of each
-/// other.
+/// other, or hear as many as the scenario allows.
 fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
     let learner = algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)?;
     let sizes = Sizes {
@@ -112,12 +112,14 @@ fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
         actions: 0,
         choices: 0,
         memory: learner.memory(),
-        graphs: 0,
+        graph_noise: 0,
     };
     let mut rollout = Rollout::new(sizes);
     rng::fill_normal(&mut Seed::new(1).rng(), &mut rollout.observation);
     rollout.observation.iter_mut().for_each(|x| *x = x.clamp(-1.0, 1.0));
-    rollout.comm.fill(1.0);
+    for (k, link) in rollout.comm.iter_mut().enumerate() {
+        *link = f32::from(u8::from(super::hears(k, &task.spec)));
+    }
     let (e, n) = (i64::from(args.worlds), task.agents as i64);
     let memory = Tensor::zeros([e, n, sizes.memory as i64], (tch::Kind::Float, Device::Cpu));
     let mut input = Observation::at(&rollout, 0, &memory);

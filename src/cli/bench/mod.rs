@@ -11,6 +11,7 @@ mod update;
 mod workload;
 
 use super::Verdict;
+use iwol_sumo::env::EnvSpec;
 
 /// Measures the speed of simulation, decisions, updates and whole trainings.
 #[derive(Debug, clap::Args)]
@@ -39,6 +40,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         What::Train(args) => return train::run(args),
     }
     Ok(Verdict::Good)
+}
+
+/// Returns whether pair `k` of a mask `[.., N, N]` of random rollouts is linked: agents hear
+/// themselves and all others, or those in the next slots if the number of others is limited.
+fn hears(k: usize, spec: &EnvSpec) -> bool {
+    let (listener, sender) = (k / spec.agents % spec.agents, k % spec.agents);
+    let apart = (sender + spec.agents - listener) % spec.agents;
+    spec.most_heard.is_none_or(|most| apart <= most)
 }
 
 fn median(values: &mut [f64]) -> f64 {

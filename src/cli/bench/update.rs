@@ -161,7 +161,7 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
         actions: task.spec.actions.len(),
         choices: 0,
         memory: learner.memory(),
-        graphs: learner.graphs(),
+        graph_noise: learner.graph_noise(task.agents),
     });
     let mut rng = Seed::new(1).rng();
     let s = rollout.sizes;
@@ -178,7 +178,8 @@ fn random_rollout(learner: &dyn Algorithm, config: &Config, task: &Task) -> Roll
         .for_each(|active| *active = f32::from(u8::from(rng::below(&mut rng, 100) < ACTIVE)));
     for (k, link) in rollout.comm.iter_mut().enumerate() {
         let (row, i, j) = (k / (s.agents * s.agents), k / s.agents % s.agents, k % s.agents);
-        *link = rollout.active[row * s.agents + i] * rollout.active[row * s.agents + j];
+        let both = rollout.active[row * s.agents + i] * rollout.active[row * s.agents + j];
+        *link = if super::hears(k, &task.spec) { both } else { 0.0 };
     }
     rollout
         .terminated

@@ -23,6 +23,32 @@ pub fn physical_mask(poses: &[Pose], present: &[bool], range: f64, mask: &mut [f
     }
 }
 
+/// Cuts all edges of a mask but those to the `most` nearest other vehicles of each receiver. Of
+/// vehicles at the same distance, those in lower slots stay.
+///
+/// `poses`: `[N]`; `mask`: `[N, N]`, row `i` is the receiver; `near` is working memory.
+pub(super) fn keep_nearest(
+    poses: &[Pose],
+    most: usize,
+    mask: &mut [f32],
+    near: &mut Vec<(f64, usize)>,
+) {
+    for (i, row) in mask.chunks_exact_mut(poses.len()).enumerate() {
+        let distance = |j: usize| {
+            let (dx, dy) = (poses[i].x - poses[j].x, poses[i].y - poses[j].y);
+            dx * dx + dy * dy
+        };
+        near.clear();
+        near.extend((0..row.len()).filter(|&j| j != i && row[j] > 0.0).map(|j| (distance(j), j)));
+        if near.len() > most {
+            near.select_nth_unstable_by(most, |a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for &(_, j) in &near[most..] {
+                row[j] = 0.0;
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -44,6 +70,32 @@ mod tests {
                     let near = i == j || (poses[i].x - poses[j].x).powi(2) + (poses[i].y - poses[j].y).powi(2) <= range * range;
                     prop_assert_eq!(mask[i * n + j], f32::from(u8::from(present[i] && present[j] && near)));
                 }
+            }
+        }
+
+        #[test]
+        fn the_nearest_stay_and_all_others_are_cut(
+            // Whole numbers, so that some distances are equal.
+            places in proptest::collection::vec((-6..6i32, -6..6i32), 1..14),
+            range in 0.0..12.0f64,
+            most in 0..6usize,
+        ) {
+            let n = places.len();
+            let poses: Vec<_> = places.iter().map(|p| Pose { x: f64::from(p.0), y: f64::from(p.1), heading: 0.0 }).collect();
+            let (mut all, mut near) = (vec![0.0; n * n], Vec::new());
+            physical_mask(&poses, &vec![true; n], range, &mut all);
+            let mut mask = all.clone();
+            keep_nearest(&poses, most, &mut mask, &mut near);
+            for i in 0..n {
+                prop_assert_eq!(mask[i * n + i], 1.0);
+                let square = |j: usize| (places[i].0 - places[j].0).pow(2) + (places[i].1 - places[j].1).pow(2);
+                let mut others: Vec<_> = (0..n).filter(|&j| j != i && all[i * n + j] > 0.0).collect();
+                others.sort_by_key(|&j| (square(j), j));
+                for (rank, &j) in others.iter().enumerate() {
+                    prop_assert_eq!(mask[i * n + j], f32::from(u8::from(rank < most)));
+                }
+                let kept = (0..n).filter(|&j| mask[i * n + j] > 0.0).count();
+                prop_assert_eq!(kept, 1 + others.len().min(most));
             }
         }
     }

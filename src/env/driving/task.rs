@@ -111,6 +111,7 @@ impl Task {
         scenario.observation.signals &= !map.traffic_lights.lights.is_empty();
         let (observation, observed) = Layout::new(observation::GROUPS, &scenario);
         let (state, known) = Layout::new(state::GROUPS, &scenario);
+        let nearest = scenario.communication.nearest;
         Ok(Self {
             agents: agents as usize,
             others: (placed - starting + capacity) as usize,
@@ -130,6 +131,7 @@ impl Task {
                 actions: actions(&scenario.control).into(),
                 observation: observed,
                 state: known,
+                most_heard: (nearest > 0 && nearest + 1 < agents as usize).then_some(nearest),
                 metrics: Vec::new(),
             },
             observation,

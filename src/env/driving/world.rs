@@ -57,6 +57,8 @@ pub struct World {
     poses: Vec<Pose>,
     /// Scratch: which agents are present after the step.
     present: Vec<bool>,
+    /// Scratch: distances and slots of the agents that an agent could hear.
+    near: Vec<(f64, usize)>,
 }
 
 impl World {
@@ -93,6 +95,7 @@ impl World {
             finished: None,
             poses: vec![Pose::default(); n],
             present: vec![false; n],
+            near: Vec::with_capacity(n),
             task,
         }
     }

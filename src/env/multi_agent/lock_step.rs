@@ -214,7 +214,7 @@ impl<E: MultiAgentEnv> World<E> {
 
     /// Checks that the frame has the sizes of the spec and contains numbers, since one that does
     /// not would spoil all weights, that flags are 0 or 1, and that every agent that acts hears
-    /// itself and has a choice.
+    /// itself, no more others than the spec says, and has a choice.
     fn check(&self) -> Result<(), Error> {
         let (frame, spec) = (&self.frame, self.env.spec());
         let n = spec.agents;
@@ -247,6 +247,14 @@ impl<E: MultiAgentEnv> World<E> {
         }
         if let Some(i) = (0..n).find(|&i| frame.active[i] > 0.0 && frame.comm[i * n + i] < 1.0) {
             return Err(self.wrong(i, "it acts, and `comm` does not have 1 on its diagonal for it"));
+        }
+        if let Some(most) = spec.most_heard {
+            let heard =
+                |i: usize| (0..n).filter(|&j| j != i && frame.comm[i * n + j] > 0.0).count();
+            if let Some(i) = (0..n).find(|&i| heard(i) > most) {
+                let text = format!("it hears {} others, and `most_heard` is {most}", heard(i));
+                return Err(self.wrong(i, &text));
+            }
         }
         if let Some(choices) = self.env.spec().actions.choices() {
             for (i, open) in frame.available.chunks_exact(choices).enumerate() {

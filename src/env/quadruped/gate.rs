@@ -53,6 +53,7 @@ impl GateSurrogate {
             actions: commands(),
             observation,
             state,
+            most_heard: None,
             metrics: vec![
                 OwnMetric::rate("passed", Better::Higher),
                 OwnMetric::count("contacts", Better::Lower),

@@ -74,6 +74,7 @@ impl SheepSurrogate {
             actions: commands(),
             observation,
             state,
+            most_heard: None,
             metrics: vec![OwnMetric::count("sheep_through", Better::Higher)],
         };
         Self {

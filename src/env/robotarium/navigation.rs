@@ -64,6 +64,7 @@ impl Navigation {
             actions: moves(),
             observation: Features::of("own", &own),
             state,
+            most_heard: None,
             metrics: vec![
                 OwnMetric::rate("safe_robots", Better::Higher),
                 OwnMetric::count("distance", Better::Lower),

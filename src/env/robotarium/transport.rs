@@ -99,6 +99,7 @@ impl Transport {
             actions: moves(),
             observation,
             state,
+            most_heard: None,
             metrics: vec![
                 OwnMetric::rate("safe_robots", Better::Higher),
                 OwnMetric::count("left_materials", Better::Lower),

@@ -38,6 +38,9 @@ const STREAMS: usize = 16;
 const CURVES: f64 = 5.0;
 /// Time for which vehicles may have to wait for signals \[s\]: the cycle of netconvert's programs.
 const CYCLE: f64 = 90.0;
+/// Largest number of other agents that an agent can hear, and the number of agents from which on
+/// that limit makes decisions and updates faster.
+const HEARD: (usize, u32) = (8, 65);
 /// Ratio of the horizon to the steps that the longest route takes without waiting.
 const PATIENCE: f64 = 8.0;
 
@@ -187,6 +190,7 @@ impl Layout {
         scenario.nets = vec![Net { file: self.net.clone(), spawns }];
         scenario.routes = routes;
         scenario.vehicle.max_speed = speed;
+        scenario.communication.nearest = if places < HEARD.1 { 0 } else { HEARD.0 };
         scenario.observation.conflict_streams = streams;
         scenario.observation.stream_vehicles = longest_row.min(3) as usize;
         if has_signals {

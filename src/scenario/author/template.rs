@@ -147,7 +147,7 @@ impl Template {
         let lanes = self.lanes(sizes)?;
         let (agents, speed, kind) = match self {
             Self::Parking => (LOT_AGENTS, LOT_SPEED, " for `parking`"),
-            _ => (200, 70.0, ""),
+            _ => (768, 70.0, ""),
         };
         if !(1..=agents).contains(&sizes.agents) {
             return Err(Error::size("agents", &sizes.agents, format!("1 to {agents}{kind}")));

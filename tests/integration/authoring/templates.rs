@@ -197,7 +197,7 @@ fn sizes_that_do_not_go_together_are_refused_and_nothing_is_left() {
     );
     assert_eq!(
         refused(Template::Cross, Sizes { agents: 0, ..SIZES }),
-        "--agents 0: allowed: 1 to 200"
+        "--agents 0: allowed: 1 to 768"
     );
     assert_eq!(
         refused(Template::Parking, Sizes { lanes: Some(2), ..SIZES }),

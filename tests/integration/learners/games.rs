@@ -59,7 +59,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         actions: 1,
         choices: 0,
         memory: learner.memory(),
-        graphs: learner.graphs(),
+        graph_noise: learner.graph_noise(n),
     };
     let mut rollout = Rollout::new(sizes);
     rollout.active.fill(1.0);
@@ -110,8 +110,8 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
                 replaced: nothing(),
                 available: nothing(),
             };
-            let graph = if learner.graphs() > 0 {
-                shaped(&rollout.graph_noise[rollout.at(t, n * sizes.graphs)], n * sizes.graphs)
+            let graph = if sizes.graph_noise > 0 {
+                shaped(&rollout.graph_noise[rollout.at(t, sizes.graph_noise)], sizes.graph_noise)
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };

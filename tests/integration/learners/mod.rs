@@ -3,6 +3,7 @@
 mod communication;
 mod discrete;
 mod games;
+mod lists;
 mod radio;
 mod states;
 mod updates;
@@ -43,6 +44,7 @@ fn spec(agents: usize) -> EnvSpec {
         actions: vec![ActionDimension::named("throttle")].into(),
         observation: features(4),
         state: features(3),
+        most_heard: None,
         metrics: Vec::new(),
     }
 }
@@ -96,7 +98,11 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
 fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
     let (e, n, _) = x.size3().expect("[E, N, O]");
     let zero = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
-    let open = Tensor::full([e, n, n * learner.graphs() as i64], 1e4, (Kind::Float, Device::Cpu));
+    let open = Tensor::full(
+        [e, n, learner.graph_noise(n as usize) as i64],
+        1e4,
+        (Kind::Float, Device::Cpu),
+    );
     let input = observation(learner, x.copy(), comm.copy());
     let (action, graph, carried, log_fresh) = (&zero, &open, &nothing(), 0.0);
     let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
@@ -150,7 +156,7 @@ fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bo
         actions: 1,
         choices: 0,
         memory: learner.training_memory(),
-        graphs: learner.graphs(),
+        graph_noise: learner.graph_noise(agents),
     };
     let mut rollout = Rollout::new(sizes);
     let mut rng = Seed::new(seed).rng();

@@ -176,8 +176,8 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
             Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
         };
         let input = Observation::at(rollout, t, &memory);
-        let graph = if s.graphs > 0 {
-            part(&rollout.graph_noise, s.agents * s.graphs)
+        let graph = if s.graph_noise > 0 {
+            part(&rollout.graph_noise, s.graph_noise)
         } else {
             Tensor::zeros([0], (Kind::Float, Device::Cpu))
         };

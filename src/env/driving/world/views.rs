@@ -2,7 +2,7 @@
 
 use super::World;
 use crate::env::driving::agents::Status;
-use crate::env::driving::comm::physical_mask;
+use crate::env::driving::comm::{keep_nearest, physical_mask};
 use crate::env::driving::intention::Knowledge;
 use crate::env::driving::observation::View;
 
@@ -30,6 +30,10 @@ impl World {
                     self.frame.comm[i * n + j] = 0.0;
                 }
             }
+        }
+        let nearest = scenario.communication.nearest;
+        if nearest > 0 {
+            keep_nearest(&self.poses, nearest, &mut self.frame.comm, &mut self.near);
         }
         if !self.frame.sharing.is_empty() {
             let range = scenario.reward.share_range;
