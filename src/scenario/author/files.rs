@@ -164,7 +164,8 @@ impl Layout {
         let meets = |one: &LanePath| {
             paths.iter().filter(|other| one.lanes[0] != other.lanes[0] && meet(one, other)).count()
         };
-        let streams = paths.iter().map(meets).max().unwrap_or(0).clamp(1, STREAMS);
+        let most = paths.iter().map(meets).max().unwrap_or(0);
+        let streams = most.clamp(1, STREAMS);
         let spawn = |Row { routes, first, spacing, count }| SpawnRow {
             routes: Arc::from(routes),
             first,
@@ -191,6 +192,9 @@ impl Layout {
         scenario.routes = routes;
         scenario.vehicle.max_speed = speed;
         scenario.communication.nearest = if places < HEARD.1 { 0 } else { HEARD.0 };
+        if most > STREAMS {
+            scenario.observation.groups = ObservationGroups::Both;
+        }
         scenario.observation.conflict_streams = streams;
         scenario.observation.stream_vehicles = longest_row.min(3) as usize;
         if has_signals {
