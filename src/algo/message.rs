@@ -28,7 +28,7 @@ pub(super) struct MessageTrunk {
 }
 
 /// A graph over lists of K neighbours takes less time than one of all pairs if there are more than
-/// this many times as many agents (measured on a CPU, for K from 8 to 16).
+/// this many times as many agents (docs/lab/speed.md).
 const AGENTS_PER_NEIGHBOUR: i64 = 8;
 
 /// Returns the length of the lists of neighbours in graphs among the agents of an environment;

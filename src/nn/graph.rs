@@ -19,7 +19,7 @@ pub enum Graph {
     Full(Tensor),
     /// Edges to the agents that each of the P agents of a packing can hear.
     Listed {
-        /// Who they are.
+        /// The lists of the agents that each agent can hear.
         neighbours: Neighbours,
         /// 0 or 1 for each entry of the lists, `[P, K]`.
         edges: Tensor,
