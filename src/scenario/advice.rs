@@ -244,7 +244,7 @@ impl Adviser<'_, '_, '_> {
             (right - left).hypot(top - bottom)
         };
         let largest = maps.iter().map(diagonal).fold(0.0, f64::max);
-        if largest > 0.0 && range >= largest {
+        if largest > 0.0 && range >= largest && self.scenario.everybody_is_nearest() {
             return warn(
                 format!(
                     "all agents can communicate with each other: the range is {range} m, and the largest net is {largest:.0} m across"
@@ -389,7 +389,9 @@ impl Adviser<'_, '_, '_> {
         let free = !maps.is_empty() && !maps.iter().any(signals);
         let follows = s.control.steering.is_none();
         let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
+        let all = s.everybody_is_nearest();
         let rules = [
+            ("communication", "nearest", all, "the scenario has not more other agents"),
             ("route", "offLane", follows, "vehicles do not steer"),
             ("termination", "border", follows, "vehicles do not steer"),
             ("termination", "brokenLines", follows, "vehicles do not steer"),

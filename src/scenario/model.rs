@@ -389,6 +389,12 @@ impl Scenario {
         agents.min(self.nets.iter().map(Net::capacity).max().unwrap_or(0))
     }
 
+    /// Returns whether `nearest` of `<communication>` excludes nobody from communication.
+    pub fn everybody_is_nearest(&self) -> bool {
+        let nearest = self.communication.nearest;
+        nearest == 0 || nearest >= self.agents.max.saturating_sub(1) as usize
+    }
+
     /// Returns the number of agent slots if `agents` is the number of agents: without the vehicles
     /// at spawn places that SUMO drives, unless further agents come from route files.
     pub fn slots(&self, agents: u32) -> u32 {

@@ -53,11 +53,21 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:138:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+    site.xml:139:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
     "#);
+    let heard = |nearest: &str| {
+        warned(&[("range=\"50\"", &format!("range=\"500\" nearest=\"{nearest}\""))])
+    };
+    assert_eq!(heard("4"), "", "not everybody can communicate with everybody");
+    insta::assert_snapshot!(heard("7"), @r#"
+    site.xml:139:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+      hint: reduce the range if communication should depend on the distance between agents
+    site.xml:139:32: warning: nearest of <communication> has no effect, because the scenario has not more other agents
+      hint: delete the attribute, or change the other value
+    "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:138:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
+    site.xml:139:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
       hint: increase the range, unless agents should not communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"
