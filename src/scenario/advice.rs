@@ -391,7 +391,7 @@ impl Adviser<'_, '_, '_> {
         let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
         let all = s.everybody_is_nearest();
         let rules = [
-            ("communication", "nearest", all, "the scenario has not more other agents"),
+            ("communication", "nearest", all, "there are never more other agents"),
             ("route", "offLane", follows, "vehicles do not steer"),
             ("termination", "border", follows, "vehicles do not steer"),
             ("termination", "brokenLines", follows, "vehicles do not steer"),

@@ -63,7 +63,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
     insta::assert_snapshot!(heard("7"), @r#"
     site.xml:139:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
-    site.xml:139:32: warning: nearest of <communication> has no effect, because the scenario has not more other agents
+    site.xml:139:32: warning: nearest of <communication> has no effect, because there are never more other agents
       hint: delete the attribute, or change the other value
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
