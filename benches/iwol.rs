@@ -181,7 +181,8 @@ fn update(c: &mut Criterion) {
     let task = task(8);
     let mut group = c.benchmark_group("update");
     group.sample_size(10);
-    let parameters = UpdateParameters { learning_rate: 0.0, log_std: 0.0 };
+    let parameters =
+        UpdateParameters { learning_rate: 0.0, log_std: 0.0, entropy_coefficient: 0.0 };
     for name in algo::NAMES {
         let mut learner =
             algo::build(name, &task.spec, &Settings::default(), Seed::new(0), Device::Cpu)

@@ -300,14 +300,15 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         parameters: &UpdateParameters,
         seed: Seed,
     ) -> Result<Losses, Error> {
-        let settings = self.settings.clone();
+        let mut settings = self.settings.clone();
+        settings.ppo.entropy_coefficient = parameters.entropy_coefficient;
         let (ppo, network) = (&settings.ppo, &settings.network);
         let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
         let imposed =
-            rollout.sizes.graph_noise > 0 && settings.exploration.mode == NoiseMode::Schedule;
+            rollout.sizes.graph_noise > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
         let width = self.copies[0].critic().graph_noise(rollout.sizes.agents as i64);
         if width > 0 {

@@ -260,6 +260,8 @@ pub struct UpdateParameters {
     /// Logarithm of the actions' standard deviation that the update leaves in the policy, where a
     /// schedule imposes it. Its exponential also scales the graph noise that the update draws.
     pub log_std: f64,
+    /// Weight of the entropy bonus in this update.
+    pub entropy_coefficient: f64,
 }
 
 /// Named diagnostics of an update, under the names that are usual in the field.

@@ -14,7 +14,7 @@ const HUBER_DELTA: f64 = 10.0;
 pub(super) const MAX_GRAD_NORM: f64 = 10.0;
 
 /// Proximal policy optimisation. MADDPG, which learns from a replay buffer, reads neither
-/// `bounds`, `entropy_coefficient`, `epochs`, `gae_lambda` nor `shards`.
+/// `bounds`, `entropy_coefficient`, `entropy_end`, `epochs`, `gae_lambda` nor `shards`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
 #[serde(deny_unknown_fields)]
 #[schemars(default)]
@@ -72,8 +72,14 @@ pub struct Ppo {
     #[schemars(range(min = 0))]
     pub bounds: f64,
     /// Weight of the entropy bonus, which keeps a policy with discrete actions or with learned noise
-    /// exploring (docs/lab/messages.md#the-traffic-junction-how-the-settings-were-found).
+    /// exploring.
     pub entropy_coefficient: f64,
+    /// Share of the weight of the entropy bonus that is left when annealing is over. The logarithm
+    /// of the weight falls linearly while annealing lowers the noise
+    /// (docs/lab/messages.md#the-traffic-junction-how-the-settings-were-found).
+    #[default = 1.0]
+    #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
+    pub entropy_end: f64,
 }
 
 /// Returns the clipped surrogate loss −Σ min(ρA, clip(ρ, 1 ± ε)A) · active / Σ active.

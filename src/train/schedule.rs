@@ -1,10 +1,10 @@
-//! The schedule of noise and learning rate, the effect of validations on it, and the criterion for
-//! stopping early.
+//! The schedule of noise, entropy bonus and learning rate, the effect of validations on it, and the
+//! criterion for stopping early.
 //!
-//! Exploration lowers the noise. Annealing lowers it further in its first two thirds, and the
-//! learning rate in its last third. Annealing begins as soon as validations succeed, and at the
-//! latest when exploration is over. Until the task is solved, the learning rate falls again and
-//! again.
+//! Exploration lowers the noise. Annealing lowers it further in its first two thirds, with the
+//! weight of the entropy bonus, and the learning rate in its last third. Annealing begins as soon
+//! as validations succeed, and at the latest when exploration is over. Until the task is solved,
+//! the learning rate falls again and again.
 
 use crate::algo::UpdateParameters;
 use crate::algo::settings::{Exploration, NoiseMode};
@@ -14,7 +14,7 @@ use crate::config::Config;
 /// Number of validations that decide whether to stop (`train.stop_success`).
 const STOP_VALIDATIONS: usize = 4;
 
-/// Returns the parameters of the next update: learning rate and noise.
+/// Returns the parameters of the next update: learning rate, noise and weight of the entropy bonus.
 pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateParameters {
     let (noise, ppo) = (&config.learner.exploration, &config.learner.ppo);
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
@@ -32,6 +32,7 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
     UpdateParameters {
         learning_rate: ppo.learning_rate * follow * between(1.0, ppo.learning_rate_end, rate_share),
         log_std,
+        entropy_coefficient: ppo.entropy_coefficient * ppo.entropy_end.powf(noise_share),
     }
 }
 
@@ -129,6 +130,7 @@ mod tests {
         (config.learner.exploration.log_std_start, config.learner.exploration.log_std_end) =
             (0.0, -2.0);
         (config.learner.ppo.learning_rate, config.learner.ppo.learning_rate_end) = (1e-3, 0.1);
+        (config.learner.ppo.entropy_coefficient, config.learner.ppo.entropy_end) = (0.1, 0.01);
         (config.train.anneal_success, config.train.anneal_steps, config.train.validate_every) =
             (0.9, 200, 50);
         config.train.stop_success = 0.95;
@@ -173,6 +175,15 @@ mod tests {
         assert!(at(610).1 > 0.8e-3 && at(660).1 < 0.3e-3, "and falls again");
         assert!((540..=1000).step_by(10).all(|step| (at(step).0 + 2.0).abs() < 1e-12));
         assert_eq!((end.step, end.annealed), (1000, 200));
+        let entropy = |step: u64| {
+            let of = |(s, now): &(u64, UpdateParameters)| {
+                (*s == step).then_some(now.entropy_coefficient)
+            };
+            history.iter().find_map(of).expect("was seen")
+        };
+        assert_eq!((entropy(10), entropy(390)), (0.1, 0.1), "exploration keeps the entropy bonus");
+        assert!((entropy(460) - 0.1 * 0.01_f64.powf(0.45)).abs() < 1e-12, "it falls as the noise");
+        assert!((540..=1000).step_by(10).all(|step| (entropy(step) - 0.001).abs() < 1e-12));
     }
 
     #[test]

@@ -335,7 +335,8 @@ fn maddpg() {
     for (place, there) in numbers("there").into_iter().enumerate() {
         rollout.comm[place * agents + place % agents] = there;
     }
-    let parameters = UpdateParameters { learning_rate: 0.01, log_std: -1.0 };
+    let parameters =
+        UpdateParameters { learning_rate: 0.01, log_std: -1.0, entropy_coefficient: 0.0 };
     let losses = learner.update(&rollout, &parameters, Seed::new(2)).expect("finite");
     let names = ["loss/value", "loss/policy", "ppo/grad_norm_critic", "ppo/grad_norm_actor"];
     let found =

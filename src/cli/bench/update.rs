@@ -116,8 +116,12 @@ fn measure(name: &str, config: &Config, task: &Task, args: &Update) -> anyhow::R
     let device = config.device.find()?;
     let mut learner = algo::build(name, &task.spec, &config.learner, Seed::new(0), device)?;
     let rollout = random_rollout(&*learner, config, task);
-    let parameters =
-        UpdateParameters { learning_rate: config.learner.ppo.learning_rate, log_std: 0.0 };
+    let ppo = &config.learner.ppo;
+    let parameters = UpdateParameters {
+        learning_rate: ppo.learning_rate,
+        log_std: 0.0,
+        entropy_coefficient: ppo.entropy_coefficient,
+    };
     let (mut ours, mut theirs) = (Vec::new(), Vec::new());
     for repetition in 0..=args.repetitions {
         let begin = Instant::now();

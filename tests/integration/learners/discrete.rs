@@ -2,7 +2,7 @@
 //! the policy that acted.
 
 use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{self, ActMode, Algorithm, Observation};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, UpdateParameters};
 use iwol_sumo::env::{ActionSpace, EnvSpec};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::Rollout;
@@ -74,18 +74,17 @@ fn updates_see_the_policy_that_chose() {
 
 /// A larger weight of the entropy bonus leaves the policy less certain of its choices.
 #[test]
-fn the_entropy_bonus_has_the_weight_of_the_settings() {
+fn the_entropy_bonus_has_the_weight_of_the_update() {
     for name in ["mappo", "im-iwol", "mat"] {
         let entropy = |entropy_coefficient: f64| {
-            let mut settings = small(EncoderKind::Mlp);
-            settings.ppo.entropy_coefficient = entropy_coefficient;
-            let mut learner = loud(name, &choosing(), &settings);
+            let mut learner = loud(name, &choosing(), &small(EncoderKind::Mlp));
             let mut rollout = rollout(&*learner);
             decide(&*learner, &mut rollout);
             rollout.reward.fill(0.0);
+            let parameters = UpdateParameters { entropy_coefficient, ..PACE };
             let mut last = 0.0;
             for update in 0..10 {
-                let losses = learner.update(&rollout, &PACE, Seed::new(update));
+                let losses = learner.update(&rollout, &parameters, Seed::new(update));
                 let losses = losses.expect("finite");
                 last = losses.iter().find(|(key, _)| *key == "loss/entropy").expect("reported").1;
             }

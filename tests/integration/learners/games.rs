@@ -6,7 +6,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-use super::{build, complete, noise, nothing, observation, random_rollout, small, spec};
+use super::{PACE, build, complete, noise, nothing, observation, random_rollout, small, spec};
 
 /// Games of two agents that each see a number.
 #[derive(Clone, Copy, PartialEq)]
@@ -136,6 +136,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
         let parameters = UpdateParameters {
             learning_rate: 3e-3 * (1.0 - 0.9 * (2.5 * share - 1.5).max(0.0)),
             log_std: -0.5 - share,
+            ..PACE
         };
         learner.update(&rollout, &parameters, Seed::new(3).index(update)).expect("finite");
     }
@@ -197,7 +198,7 @@ fn values_do_not_feed_on_their_own_normalisation() {
         rollout.active.fill(1.0);
         rollout.comm.fill(1.0);
         rollout.terminated.fill(0.0);
-        let parameters = UpdateParameters { learning_rate: 3e-3, log_std: -1.0 };
+        let parameters = UpdateParameters { learning_rate: 3e-3, log_std: -1.0, ..PACE };
         let input = observation(&*learner, noise(4, &[1, 2, 4]), complete(1, 2));
         let state = noise(5, &[1, 2, 3]);
         let mut values = Vec::new();

@@ -15,8 +15,10 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-const PACE: UpdateParameters = UpdateParameters { learning_rate: 7e-4, log_std: -0.2 };
-const STILL: UpdateParameters = UpdateParameters { learning_rate: 0.0, log_std: 0.0 };
+const PACE: UpdateParameters =
+    UpdateParameters { learning_rate: 7e-4, log_std: -0.2, entropy_coefficient: 0.0 };
+const STILL: UpdateParameters =
+    UpdateParameters { learning_rate: 0.0, log_std: 0.0, entropy_coefficient: 0.0 };
 const ENCODERS: [EncoderKind; 3] = [EncoderKind::Mlp, EncoderKind::Attention, EncoderKind::Gru];
 
 fn features(count: usize) -> Features {
