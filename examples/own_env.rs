@@ -1,15 +1,18 @@
-//! An environment of your own: four robots in a square, each with a place to reach, trained with any
-//! method without SUMO.
+//! An environment of your own: four robots in a square, each with a place to reach. The program has
+//! the whole command line of `iwol`, with this environment beside the built-in ones:
 //!
-//! `cargo run --release --example own_env -- mappo 60000` trains MAPPO for 60,000 steps.
+//! ```sh
+//! cargo run --release --example own_env -- train --environment square --algorithm mappo --steps 60000
+//! cargo run --release --example own_env -- evaluate runs/square/mappo/seed_0
+//! ```
 
-use std::sync::atomic::AtomicBool;
+use std::process::ExitCode;
 
-use iwol_sumo::config::Layers;
-use iwol_sumo::env::{ActionDimension, EnvSpec, Features, Frame, MultiAgentEnv, Simple};
+use iwol_sumo::env::{
+    ActionDimension, Better, EnvSpec, Features, Figure, FigureStatus, Frame, MultiAgentEnv,
+    OwnMetric, Picture, Simple,
+};
 use iwol_sumo::rng::{self, Seed};
-use iwol_sumo::train::{RunDir, Trainer};
-use toml::Value;
 
 const ROBOTS: usize = 4;
 const STEPS: u32 = 40;
@@ -32,6 +35,9 @@ impl Square {
             actions: vec![ActionDimension::named("x"), ActionDimension::named("y")].into(),
             observation: Features::of("goal", &["dx", "dy"].map(number)),
             state: Features::of("goal", &["dx", "dy"].map(number)),
+            metrics: vec![
+                OwnMetric::count("steps", Better::Lower).meaning("Steps of the episode."),
+            ],
             ..EnvSpec::default()
         };
         Self { spec, robots: [[0.0; 4]; ROBOTS], step: 0, arrived: 0 }
@@ -64,8 +70,9 @@ impl MultiAgentEnv for Square {
             let robot = &mut self.robots[i];
             let apart = |r: &[f32; 4]| (r[2] - r[0]).hypot(r[3] - r[1]);
             let before = apart(robot);
-            (robot[0], robot[1]) =
-                (robot[0] + 0.1 * actions[2 * i], robot[1] + 0.1 * actions[2 * i + 1]);
+            for (place, action) in robot.iter_mut().zip(&actions[2 * i..2 * i + 2]) {
+                *place = (*place + 0.1 * action).clamp(0.0, 1.0);
+            }
             frame.reward[i] = before - apart(robot);
             if apart(robot) < 0.1 {
                 frame.reward[i] += 1.0;
@@ -81,21 +88,25 @@ impl MultiAgentEnv for Square {
     fn success(&self) -> f64 {
         self.arrived as f64 / ROBOTS as f64
     }
+
+    fn metrics(&self) -> Vec<f64> {
+        vec![f64::from(self.step)]
+    }
+
+    fn picture(&self) -> Option<Picture> {
+        let body = |[x, y, goal_x, goal_y]: [f32; 4]| Figure {
+            centre: [f64::from(x), f64::from(y)],
+            heading: f64::from((goal_y - y).atan2(goal_x - x)),
+            size: [0.06, 0.04],
+            status: FigureStatus::Active,
+            ..Figure::default()
+        };
+        Some(Picture { agents: self.robots.map(body).to_vec(), ..Picture::default() })
+    }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut args = std::env::args().skip(1);
-    let method = args.next().unwrap_or_else(|| "mappo".to_owned());
-    let steps = args.next().map_or(Ok(60_000), |steps| steps.parse())?;
-    let flags = vec![("algorithm", Value::String(method)), ("steps", Value::Integer(steps))];
-    let config = Layers { flags, sets: args.collect(), ..Layers::default() }
-        .without_scenario(&Square::new().spec)?;
-    let folder = tempfile::tempdir()?;
-    let mut trainer = Trainer::new(config, Box::new(Simple::new("square", Square::new)))?;
-    trainer.run(&RunDir::new(folder.path()), &AtomicBool::new(false), &mut |report| {
-        println!("{:>7} steps  success {:?}", report.step, report.training_success);
-    })?;
-    let found = trainer.validate(&AtomicBool::new(false))?.metrics().ok_or("no episode")?;
-    println!("robots that arrive: {:.1} %", 100.0 * found.success.mean);
-    Ok(())
+fn main() -> ExitCode {
+    iwol_sumo::env::register(|| Box::new(Simple::new("square", Square::new)))
+        .expect("no other environment is called square");
+    iwol_sumo::cli::main()
 }

@@ -2,22 +2,23 @@
 //! StarCraft multi-agent challenge?"), which differs from MAPPO in its value function: each agent
 //! values what it observes by itself, without the privileged state.
 //!
-//! `cargo run --release --example own_method -- ippo 100000` trains it for 100,000 steps to navigate
-//! in the Robotarium; with `mappo`, or the name of another method, in its place, that one.
+//! The program has the whole command line of `iwol`, with this method beside the others:
+//!
+//! ```sh
+//! cargo run --release --example own_method -- train --environment navigation --algorithm ippo --steps 100000
+//! cargo run --release --example own_method -- evaluate runs/navigation/ippo/seed_0
+//! ```
 
-use std::sync::atomic::AtomicBool;
+use std::process::ExitCode;
 
 use iwol_sumo::algo::method::{
     ACTOR, Batch, CRITIC, Critic, Encoder, Loss, Networks, ParameterBuilder, PolicyHead,
     PolicyTerms, Ratio, Shard, ValueFunction, encode_active, encode_locally, value_loss,
 };
 use iwol_sumo::algo::{self, ActMode, Decision, Observation, Settings};
-use iwol_sumo::config::Layers;
-use iwol_sumo::env::{BuiltIn, EnvSpec};
+use iwol_sumo::env::EnvSpec;
 use iwol_sumo::nn::ValueNorm;
-use iwol_sumo::train::{RunDir, Trainer};
 use tch::Tensor;
-use toml::Value;
 
 /// The networks of IPPO.
 pub(crate) struct Ippo {
@@ -83,21 +84,7 @@ impl Networks for Ippo {
     }
 }
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    algo::register::<Ippo>()?;
-    let mut args = std::env::args().skip(1);
-    let method = args.next().unwrap_or_else(|| "ippo".to_owned());
-    let steps = args.next().map_or(Ok(100_000), |steps| steps.parse())?;
-    let environment = BuiltIn::named("navigation").ok_or("no such environment")?.environment();
-    let flags = vec![("algorithm", Value::String(method)), ("steps", Value::Integer(steps))];
-    let layers = Layers { flags, sets: args.collect(), ..Layers::default() };
-    let config = layers.without_scenario(environment.spec())?;
-    let folder = tempfile::tempdir()?;
-    let mut trainer = Trainer::new(config, environment)?;
-    trainer.run(&RunDir::new(folder.path()), &AtomicBool::new(false), &mut |report| {
-        println!("{:>7} steps  success {:?}", report.step, report.training_success);
-    })?;
-    let found = trainer.validate(&AtomicBool::new(false))?.metrics().ok_or("no episode")?;
-    println!("robots that end near the goal: {:.1} %", 100.0 * found.success.mean);
-    Ok(())
+fn main() -> ExitCode {
+    algo::register::<Ippo>().expect("no other method is called ippo");
+    iwol_sumo::cli::main()
 }

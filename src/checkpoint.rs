@@ -101,6 +101,14 @@ impl Checkpoint {
                 vec![world.actions.len()],
                 f32_bytes(&world.actions),
             ));
+            if !world.observation.is_empty() {
+                entries.push((
+                    format!("observation/{i}"),
+                    Dtype::F32,
+                    vec![world.observation.len()],
+                    f32_bytes(&world.observation),
+                ));
+            }
         }
         entries.push((
             "memory".to_owned(),
@@ -205,11 +213,16 @@ impl Checkpoint {
             .zip(positions)
             .enumerate()
             .map(|(i, (&(episode, interrupted), position))| {
+                let observation = format!("observation/{i}");
                 Ok(WorldState {
                     episode,
                     interrupted,
                     actions: floats(&format!("world/{i}"))?,
                     position,
+                    observation: match tensors.tensor(&observation) {
+                        Ok(_) => floats(&observation)?,
+                        Err(_) => Vec::new(),
+                    },
                 })
             })
             .collect::<Result<_, Error>>()?;

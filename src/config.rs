@@ -44,7 +44,7 @@ use smart_default::SmartDefault;
 use toml::Table;
 
 use crate::algo;
-use crate::env::BuiltIn;
+use crate::env::NamedEnvironment;
 use crate::sumo::{Choice, Hosting};
 
 /// The method that is trained unless another one is set.
@@ -79,9 +79,10 @@ pub struct Config {
     /// agents (CommFormer: of as many). Empty: training starts from new weights.
     #[schemars(extend("default" = ""))]
     pub init_from: PathBuf,
-    /// Name of a built-in environment, which needs no SUMO, instead of a scenario.
+    /// Name of an environment that needs no SUMO, instead of a scenario: a built-in one, or one that
+    /// an application registers.
     #[serde(default, skip_serializing_if = "String::is_empty")]
-    #[schemars(extend("enum" = BuiltIn::NAMES, "default" = ""))]
+    #[schemars(extend("enum" = NamedEnvironment::BUILT_IN, "default" = ""))]
     pub environment: String,
     /// The scenario's file, or a table with the file and values that replace those in the file.
     pub scenario: ScenarioSettings,

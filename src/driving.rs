@@ -133,7 +133,7 @@ mod trainer {
     ) -> Result<Trainer, Error> {
         let environment: Box<dyn Environment> = match place {
             TaskSource::Scenario(scenario) => Box::new(traffic(&config, scenario)?),
-            TaskSource::BuiltIn(built_in) => built_in.environment(),
+            TaskSource::Environment(named) => named.environment(),
         };
         Trainer::among(config, environment, checkpoint, team)
     }

@@ -11,6 +11,7 @@
 //!   [`replay`]: running them
 //! - [`metrics`]: the registry of what is measured; `curves`: learning curves; [`stats`]: intervals
 //!   and aggregates over seeds; [`provenance`]: the program and machine that computed a result
+//! - [`cli`]: the command line of the program `iwol`, for applications as well
 //!
 //! # Without libtorch
 //!
@@ -28,6 +29,7 @@
 // Modules that need libtorch leave themselves out of builds without the feature `learn`.
 pub mod algo;
 pub mod checkpoint;
+pub mod cli;
 pub mod config;
 pub mod curves;
 pub mod driving;

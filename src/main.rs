@@ -1,6 +1,4 @@
-//! The program `iwol`.
-
-mod cli;
+//! The program `iwol`: the command line of the library, with another allocator.
 
 /// The allocator of libtorch, too: it overrides that of the C library.
 #[cfg(feature = "learn")]
@@ -10,7 +8,7 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 fn main() -> std::process::ExitCode {
     #[cfg(feature = "learn")]
     keep_memory();
-    cli::main()
+    iwol_sumo::cli::main()
 }
 
 /// Keeps freed memory for ten seconds, instead of one, before it goes back to the kernel, unless

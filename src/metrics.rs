@@ -24,7 +24,7 @@ use metric::{
     SPEED, Source,
 };
 pub use metric::{Better, Metric, Scale, Shown};
-pub use own::{OwnEstimate, built_in, own};
+pub use own::{OwnEstimate, of_environments, own};
 pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 
 /// Number of steps of the window over which the paper sums rewards.
@@ -51,7 +51,7 @@ pub fn all() -> impl Iterator<Item = &'static Metric> {
 /// Returns the metric with this key, of all metrics and of those that the built-in environments
 /// define by themselves.
 pub fn named(id: &str) -> Option<&'static Metric> {
-    all().chain(built_in()).find(|metric| metric.id == id)
+    all().chain(of_environments()).find(|metric| metric.id == id)
 }
 
 /// Returns the metrics that an output shows, if results contain them.
@@ -421,7 +421,7 @@ pub fn reference() -> String {
          shown everywhere; reports show the metrics of reports if results contain them.\n\n\
          | metric | key | better | shown | meaning |\n|---|---|---|---|---|\n",
     );
-    for metric in all() {
+    for metric in all().chain(of_environments()) {
         let better = match metric.better {
             Better::Higher => "higher",
             Better::Lower => "lower",

@@ -29,7 +29,9 @@ pub enum Error {
         name: &'static str,
     },
     /// Training diverged.
-    #[error("training diverged: {what} is not finite; try a lower ppo.learning_rate")]
+    #[error(
+        "training diverged: {what} is not finite; try a lower ppo.learning_rate, and check the scale of observations and rewards"
+    )]
     NonFinite {
         /// The quantity that is not finite.
         what: &'static str,

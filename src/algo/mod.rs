@@ -241,6 +241,16 @@ pub fn check_channel(name: &str, channel: &Channel) -> Result<(), Error> {
     if fits { Ok(()) } else { Err(Error::NoMessages { algorithm: name }) }
 }
 
+/// Checks that the algorithm called `name` can be trained with the actions of an environment.
+///
+/// # Errors
+/// [`Error::Discrete`], [`Error::UnknownAlgorithm`].
+pub fn check_actions(name: &str, spec: &EnvSpec) -> Result<(), Error> {
+    let Method { name, capabilities, .. } = Method::named(name)?;
+    let fits = spec.actions.choices().is_none() || capabilities.discrete;
+    if fits { Ok(()) } else { Err(Error::Discrete { algorithm: name }) }
+}
+
 /// Checks that a policy of the algorithm called `name` that was trained with `trained` agents can
 /// be used with `agents` agents.
 ///
@@ -383,9 +393,7 @@ pub fn build_among(
     if let Some(why) = settings.channel.cannot_train(settings.network.encoder) {
         return Err(Error::Channel { why });
     }
-    if spec.actions.choices().is_some() && !method.capabilities.discrete {
-        return Err(Error::Discrete { algorithm: method.name });
-    }
+    check_actions(method.name, spec)?;
     let settings = settings.only(method.capabilities.settings);
     Ok((method.build)(spec, &settings, seed, device, ranks))
 }

@@ -4,10 +4,10 @@
 
 use std::path::PathBuf;
 
+use crate::algo;
+use crate::config::{Config, Document, Layers, PRESETS};
+use crate::env::NamedEnvironment;
 use anyhow::Context as _;
-use iwol_sumo::algo;
-use iwol_sumo::config::{Config, Document, Layers, PRESETS};
-use iwol_sumo::env::BuiltIn;
 use toml::Value;
 
 use super::Verdict;
@@ -32,7 +32,7 @@ pub(super) struct SettingsArgs {
     /// Scenario file, e.g. scenarios/intersection.xml.
     #[arg(long)]
     scenario: Option<PathBuf>,
-    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {}", BuiltIn::NAMES.join(", ")))]
+    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {}", NamedEnvironment::names().join(", ")))]
     environment: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
     algorithm: Option<String>,

@@ -8,12 +8,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-use iwol_sumo::provenance::Program;
+use crate::provenance::Program;
 #[cfg(feature = "learn")]
-use iwol_sumo::provenance::{libtorch_version, loaded_library};
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{self, Installation, Simulation as _, SimulationConfig, TraciSimulation};
-use iwol_sumo::words::counted;
+use crate::provenance::{libtorch_version, loaded_library};
+use crate::scenario::Scenario;
+use crate::sumo::{self, Installation, Simulation as _, SimulationConfig, TraciSimulation};
+use crate::words::counted;
 
 use super::chain;
 

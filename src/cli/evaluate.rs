@@ -11,16 +11,16 @@ mod table;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use crate::driving::{POLICIES, Policy};
+use crate::env::NamedEnvironment;
+use crate::evaluate::{Controller, EvaluationObserver};
+use crate::metrics::EvaluationResult;
+use crate::provenance::Program;
+use crate::record;
+use crate::replay::{Recorder, Title};
+use crate::rng::Seed;
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::driving::{POLICIES, Policy};
-use iwol_sumo::env::BuiltIn;
-use iwol_sumo::evaluate::{Controller, EvaluationObserver};
-use iwol_sumo::metrics::EvaluationResult;
-use iwol_sumo::provenance::Program;
-use iwol_sumo::record;
-use iwol_sumo::replay::{Recorder, Title};
-use iwol_sumo::rng::Seed;
 
 use self::setup::Setup;
 use super::Verdict;
@@ -44,7 +44,7 @@ pub(super) struct Args {
     /// Scenario file [default: the run's]
     #[arg(long, required_unless_present_any = ["run", "environment"])]
     scenario: Option<PathBuf>,
-    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {} [default: the run's]", BuiltIn::NAMES.join(", ")))]
+    #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {} [default: the run's]", NamedEnvironment::names().join(", ")))]
     environment: Option<String>,
     /// Number of vehicles [default: the run's, or the scenario's]
     #[arg(long)]
@@ -181,12 +181,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
                 .map_or_else(|| name.clone(), |run| format!("{name} ({})", run.display()));
             let title = Title { environment: &setup.scenario, policy: &driver, seed: args.seed };
             let recording = recorder.finish(&arena.backdrop()?, &title, record);
-            recorded = Some((
-                recording.context(
-                    "the recorded episode did not reach its end, or the environment draws nothing",
-                )?,
-                path,
-            ));
+            let why = match record {
+                Some(record) if !record.interrupted => {
+                    "there is nothing to record: the environment returns no `picture`"
+                }
+                _ => "the recorded episode did not reach its end",
+            };
+            recorded = Some((recording.context(why)?, path));
         }
         let metrics = evaluation.metrics().context("no episode finished")?;
         rows.push(EvaluationResult {

@@ -4,16 +4,16 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::algo::onnx;
+use crate::checkpoint::Checkpoint;
+use crate::config::{Document, Layers, TaskSource};
+use crate::env::{ActionSpace, EnvSpec, Feature, Features, Task};
+use crate::onnx::Graph;
+use crate::provenance::Program;
+use crate::record;
+use crate::scenario::Scenario;
+use crate::train::RunDir;
 use anyhow::{Context as _, bail};
-use iwol_sumo::algo::onnx;
-use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{Document, Layers, TaskSource};
-use iwol_sumo::env::{ActionSpace, EnvSpec, Feature, Features, Task};
-use iwol_sumo::onnx::Graph;
-use iwol_sumo::provenance::Program;
-use iwol_sumo::record;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::train::RunDir;
 use serde_json::json;
 
 use super::Verdict;
@@ -106,8 +106,8 @@ impl Exported {
                 });
                 (Task::new(scenario, config.agents)?.spec, about)
             }
-            TaskSource::BuiltIn(built_in) => {
-                (built_in.environment().spec().clone(), json!({ "environment": built_in.name }))
+            TaskSource::Environment(named) => {
+                (named.environment().spec().clone(), json!({ "environment": named.name }))
             }
         };
         let algorithm = &checkpoint.algorithm;

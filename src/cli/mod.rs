@@ -1,5 +1,5 @@
-//! The command line: one file per verb. All printing of the program happens here: results go to
-//! stdout, everything else to stderr.
+//! The command line of the program `iwol` and of applications: one file per verb. All printing
+//! happens here: results go to stdout, everything else to stderr.
 
 /// Writes a message for the user to stderr. A write that fails, e.g. to a closed terminal, is
 /// ignored.
@@ -40,11 +40,11 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crate::{env, scenario as scenarios, sumo};
 #[cfg(not(feature = "learn"))]
 #[allow(clippy::wildcard_imports, reason = "in place of the modules that are left out")]
 use absent::*;
 use clap::{Parser, Subcommand};
-use iwol_sumo::{env, scenario as scenarios, sumo};
 
 /// Multi-vehicle coordination in SUMO: train, evaluate and plot.
 #[derive(Debug, Parser)]
@@ -99,6 +99,9 @@ enum Verdict {
 /// Exit code of a verb that was asked to stop: the code that shells use for Ctrl-C.
 const INTERRUPTED: u8 = 130;
 
+/// Runs the command line of the program `iwol` with the arguments of this process, and returns its
+/// exit code. An application that registers its own environments ([`crate::env::register`]) and
+/// methods (`algo::register`) and then calls this function has all verbs for them.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = match cli.verbose {
@@ -106,14 +109,16 @@ pub fn main() -> ExitCode {
         1 => tracing::Level::INFO,
         _ => tracing::Level::DEBUG,
     };
-    tracing_subscriber::fmt()
+    let log = tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
         .log_internal_errors(false)
-        .init();
+        .finish();
+    // An application may have its own way of logging.
+    let _ = tracing::subscriber::set_global_default(log);
     if let Some(parent) = cli.die_with_parent {
         // Only Linux supports this; on other systems the children of a killed sweep run to their
         // end.
@@ -162,7 +167,7 @@ fn hint_of_path(error: &anyhow::Error) -> Option<String> {
     std::env::args().skip(2).find_map(|argument| {
         // A path is an argument of its own or the value of a setting, as in `--set scenario=FILE`.
         let path = argument.rsplit('=').next().filter(|path| text.contains(path))?;
-        let near = iwol_sumo::suggest::nearest_path(std::path::Path::new(path))?;
+        let near = crate::suggest::nearest_path(std::path::Path::new(path))?;
         Some(format!("did you mean `{}`?", near.display()))
     })
 }
@@ -180,7 +185,7 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 
 #[cfg(feature = "learn")]
 fn hint_of_learning(cause: &(dyn std::error::Error + 'static)) -> Option<String> {
-    use iwol_sumo::{config, train};
+    use crate::{config, train};
     match (cause.downcast_ref::<config::Error>(), cause.downcast_ref::<train::Error>()) {
         (Some(config::Error::Scenario(e) | config::Error::Overridden { source: e, .. }), _) => {
             e.hint()

@@ -4,12 +4,12 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::config;
+use crate::curves::{self, Along, Curve, Line, curve, mean_curve};
+use crate::metrics::{self, EvaluationResult, SUCCESS, Shown};
+use crate::plot::{Format, Panel, Series, figure};
+use crate::train::RunDir;
 use anyhow::{Context as _, bail};
-use iwol_sumo::config;
-use iwol_sumo::curves::{self, Along, Curve, Line, curve, mean_curve};
-use iwol_sumo::metrics::{self, EvaluationResult, SUCCESS, Shown};
-use iwol_sumo::plot::{Format, Panel, Series, figure};
-use iwol_sumo::train::RunDir;
 
 use super::Verdict;
 
@@ -192,7 +192,7 @@ fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
     let results = EvaluationResult::read_all(&text)
         .with_context(|| format!("`{}` is no output of `iwol evaluate --json`", path.display()))?;
     let trained =
-        |policy: &String| policy.is_empty() || iwol_sumo::algo::NAMES.contains(&policy.as_str());
+        |policy: &String| policy.is_empty() || crate::algo::NAMES.contains(&policy.as_str());
     Ok(results
         .into_iter()
         .filter(|result| !trained(&result.policy))

@@ -2,9 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::record::write_atomic;
+use crate::replay::Recording;
 use anyhow::bail;
-use iwol_sumo::record::write_atomic;
-use iwol_sumo::replay::Recording;
 
 use super::Verdict;
 

@@ -4,10 +4,10 @@
 
 use std::path::PathBuf;
 
+use crate::plot::Format;
+use crate::report;
+use crate::sweep::Sweep;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
-use iwol_sumo::plot::Format;
-use iwol_sumo::report;
-use iwol_sumo::sweep::Sweep;
 
 use super::Verdict;
 

@@ -8,15 +8,15 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use crate::checkpoint::Checkpoint;
+use crate::config::{self, Config, Document, Resolution, TaskSource};
+use crate::driving;
+use crate::ranks::{self, Ranks, Team};
+use crate::sumo::Choice;
+use crate::train::{Report, RunDir, TrainingEnd, human_duration};
+use crate::words::counted;
 use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
-use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Config, Document, Resolution, TaskSource};
-use iwol_sumo::driving;
-use iwol_sumo::ranks::{self, Ranks, Team};
-use iwol_sumo::sumo::Choice;
-use iwol_sumo::train::{Report, RunDir, TrainingEnd, human_duration};
-use iwol_sumo::words::counted;
 
 use super::Verdict;
 use super::config::SettingsArgs;
@@ -70,7 +70,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     let end = train(args, Arc::clone(&ranks));
     let known = |error: &anyhow::Error| {
-        use iwol_sumo::train::Error;
+        use crate::train::Error;
         matches!(
             error.downcast_ref(),
             Some(Error::Env(_) | Error::Algorithm(_) | Error::Diverged { .. })
@@ -200,7 +200,9 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             hosting.alone(config.train.envs).describe(config.train.envs)
         }
         TaskSource::Scenario(_) => hosting.describe(config.train.envs),
-        TaskSource::BuiltIn(_) => format!("{} without SUMO", counted(config.train.envs, "world")),
+        TaskSource::Environment(_) => {
+            format!("{} without SUMO", counted(config.train.envs, "world"))
+        }
     };
     say!("{worlds}");
     if size > 1 {

@@ -11,7 +11,7 @@ use super::origin::{Origin, Origins};
 use super::presets::Preset;
 use super::values::{Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
-use crate::env::{BuiltIn, EnvSpec};
+use crate::env::{EnvSpec, Environment, NamedEnvironment};
 use crate::scenario::{Scenario, ScenarioFile};
 use crate::suggest::nearest;
 
@@ -45,8 +45,8 @@ pub struct Resolution {
 pub enum TaskSource {
     /// On the roads of a scenario, with the values of the settings.
     Scenario(Box<Scenario>),
-    /// In a built-in environment.
-    BuiltIn(BuiltIn),
+    /// In an environment without SUMO.
+    Environment(NamedEnvironment),
 }
 
 impl TaskSource {
@@ -54,7 +54,7 @@ impl TaskSource {
     pub fn name(&self) -> &str {
         match self {
             Self::Scenario(scenario) => &scenario.name,
-            Self::BuiltIn(built_in) => built_in.name,
+            Self::Environment(named) => named.name,
         }
     }
 
@@ -62,7 +62,7 @@ impl TaskSource {
     pub fn scenario(&self) -> Option<&Scenario> {
         match self {
             Self::Scenario(scenario) => Some(scenario),
-            Self::BuiltIn(_) => None,
+            Self::Environment(_) => None,
         }
     }
 
@@ -70,7 +70,7 @@ impl TaskSource {
     pub fn fingerprint(&self) -> String {
         match self {
             Self::Scenario(scenario) => scenario.fingerprint(),
-            Self::BuiltIn(built_in) => built_in.name.to_owned(),
+            Self::Environment(named) => named.name.to_owned(),
         }
     }
 }
@@ -84,7 +84,7 @@ impl Config {
         let Resolution { config, place, .. } = layers.resolve()?;
         match place {
             TaskSource::Scenario(scenario) => Ok((config, *scenario)),
-            TaskSource::BuiltIn(built_in) => Err(Error::WithoutScenario { name: built_in.name }),
+            TaskSource::Environment(named) => Err(Error::WithoutScenario { name: named.name }),
         }
     }
 }
@@ -97,8 +97,11 @@ impl Layers {
     pub fn resolve(&self) -> Result<Resolution, Error> {
         let document = &self.document;
         let parsed = self.parsed()?;
-        if let Some(built_in) = self.built_in(parsed.get_ref())? {
-            return self.in_environment(parsed.get_ref(), built_in);
+        if let Some(named) = self.named_environment(parsed.get_ref())? {
+            let environment = named.environment();
+            let (config, origins) = self.in_environment(parsed.get_ref(), &*environment)?;
+            let place = TaskSource::Environment(named);
+            return Ok(Resolution { config, place, origins, replaced: Vec::new() });
         }
         // The scenario gives its own values and the default number of agents.
         let path = self.look_up(parsed.get_ref(), "scenario.file");
@@ -117,52 +120,81 @@ impl Layers {
     }
 
     /// Returns the environment that the layers name, if they name one.
-    fn built_in(&self, parsed: &DeTable<'_>) -> Result<Option<BuiltIn>, Error> {
-        let given = |key: &str| {
-            let value = self.look_up(parsed, key)?;
-            value.as_str().filter(|word| !word.is_empty()).map(str::to_owned)
-        };
-        let Some(name) = given("environment") else { return Ok(None) };
+    fn named_environment(&self, parsed: &DeTable<'_>) -> Result<Option<NamedEnvironment>, Error> {
+        let Some(name) = self.word(parsed, "environment") else { return Ok(None) };
         let key = "environment".to_owned();
         let place = self.place_of("environment");
         let refused = |message: String| Error::Value { place, key, message };
-        let Some(built_in) = BuiltIn::named(&name) else {
-            let names = BuiltIn::NAMES;
-            let similar = nearest(&name, names);
+        let Some(named) = NamedEnvironment::find(&name) else {
+            let names = NamedEnvironment::names();
+            let similar = nearest(&name, names.iter().copied());
             let similar = similar.map(|s| format!("; did you mean `{s}`?")).unwrap_or_default();
             let known = names.join(", ");
             return Err(refused(format!(
                 "there is no environment `{name}` (available: {known}){similar}"
             )));
         };
-        match given("scenario.file") {
-            None => Ok(Some(built_in)),
+        match self.word(parsed, "scenario.file") {
+            None => Ok(Some(named)),
             Some(file) => Err(refused(format!(
-                "`{file}` is a scenario ({}); a run is in a scenario or in a built-in environment",
+                "`{file}` is a scenario ({}); a run is in a scenario or in an environment",
                 self.place_of("scenario.file")
             ))),
         }
     }
 
-    fn in_environment(&self, parsed: &DeTable<'_>, built_in: BuiltIn) -> Result<Resolution, Error> {
-        let environment = built_in.environment();
-        let (name, spec) = (built_in.name, environment.spec());
+    fn in_environment(
+        &self,
+        parsed: &DeTable<'_>,
+        environment: &dyn Environment,
+    ) -> Result<(Config, Origins), Error> {
+        let (name, spec) = (environment.name(), environment.spec());
+        self.check_effects(spec)?;
         let (config, origins) = self.settings(parsed, Setting::Environment { name, spec })?;
         self.check_agents(&config, spec)?;
-        let place = TaskSource::BuiltIn(built_in);
-        Ok(Resolution { config, place, origins, replaced: Vec::new() })
+        Ok((config, origins))
     }
 
-    /// Resolves the layers for an environment that has no scenario.
+    /// Refuses options of the command line whose settings have no effect in an environment without
+    /// SUMO. Files may have such settings, because they may serve scenarios as well.
+    fn check_effects(&self, spec: &EnvSpec) -> Result<(), Error> {
+        const OF_NOISE: [&str; 4] = [
+            "exploration.mode",
+            "exploration.log_std_start",
+            "exploration.log_std_end",
+            "exploration.correlation",
+        ];
+        let sets = self.sets.iter().filter_map(|set| Some(set.split_once('=')?.0.trim()));
+        for key in sets.chain(self.flags.iter().map(|(key, _)| *key)).map(full_name) {
+            let message = match () {
+                () if key.starts_with("simulation.") || key.starts_with("scenario.") => {
+                    "has no effect: the environment is without SUMO"
+                }
+                () if spec.actions.choices().is_some() && OF_NOISE.contains(&&*key) => {
+                    "has no effect: actions are discrete, and without noise"
+                }
+                () => continue,
+            };
+            let (place, message) = (self.place_of(&key), message.to_owned());
+            return Err(Error::Value { place, key: key.to_string(), message });
+        }
+        Ok(())
+    }
+
+    /// Resolves the layers for an environment without SUMO. Their `environment`, if they have one,
+    /// has to be its name.
     ///
     /// # Errors
     /// [`Error`], with the place of the setting.
-    pub fn without_scenario(&self, spec: &EnvSpec) -> Result<Config, Error> {
+    pub fn for_environment(&self, environment: &dyn Environment) -> Result<Config, Error> {
         let parsed = self.parsed()?;
-        let setting = Setting::Environment { name: "", spec };
-        let (config, _) = self.settings(parsed.get_ref(), setting)?;
-        self.check_agents(&config, spec)?;
-        Ok(config)
+        let other = self.word(parsed.get_ref(), "environment");
+        if let Some(other) = other.filter(|name| name != environment.name()) {
+            let message = format!("`{other}` is another one than `{}`", environment.name());
+            let (place, key) = (self.place_of("environment"), "environment".to_owned());
+            return Err(Error::Value { place, key, message });
+        }
+        Ok(self.in_environment(parsed.get_ref(), environment)?.0)
     }
 
     /// Checks that the number of agents is that of an environment without scenario, which is the
@@ -283,6 +315,13 @@ impl Layers {
             return wrong(keys, allowed);
         }
         Ok((config, origins))
+    }
+
+    /// Returns the word that the layers give for a setting, by its full name; `None` if they give
+    /// none or an empty one.
+    fn word(&self, document: &DeTable<'_>, key: &str) -> Option<String> {
+        let value = self.look_up(document, key)?;
+        value.as_str().filter(|word| !word.is_empty()).map(str::to_owned)
     }
 
     /// Returns the value that the layers give for a setting, by its full name.

@@ -2,6 +2,7 @@
 
 use super::Config;
 use crate::algo;
+use crate::env::NamedEnvironment;
 
 /// Returns why a `--set` has no effect in an evaluation, if its setting comes from elsewhere there.
 pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
@@ -25,6 +26,12 @@ impl Config {
     pub fn cannot_be_trained(&self) -> Option<String> {
         if let Err(unfit) = algo::check_channel(&self.algorithm, &self.channel) {
             return Some(unfit.to_string());
+        }
+        if let Some(named) = NamedEnvironment::find(&self.environment) {
+            let unfit = algo::check_actions(&self.algorithm, named.environment().spec()).err();
+            if let Some(unfit) = unfit {
+                return Some(unfit.to_string());
+            }
         }
         self.channel.cannot_train(self.learner.network.encoder).map(str::to_owned)
     }

@@ -30,6 +30,10 @@ pub struct WorldState {
     pub interrupted: bool,
     /// Position in the order of episodes.
     pub position: Position,
+    /// What agents observe in this state, `[N, O]`, to check that a restored world comes back to
+    /// it; empty for worlds that check it otherwise.
+    #[serde(default)]
+    pub observation: Vec<f32>,
 }
 
 /// The current episode of a world and those that follow.
@@ -145,7 +149,8 @@ impl Episode {
         } else {
             (self.index, self.actions.clone())
         };
-        WorldState { episode, actions, interrupted: self.interrupted, position }
+        let interrupted = self.interrupted;
+        WorldState { episode, actions, interrupted, position, observation: Vec::new() }
     }
 
     /// Completes the restoration of a state, after the state's actions have been repeated.

@@ -61,6 +61,14 @@ pub enum Error {
         /// The agent, and what is wrong.
         what: String,
     },
+    /// An application registers an environment under a name that cannot be used.
+    #[error("an environment cannot be called `{name}`: {why}")]
+    Name {
+        /// The name.
+        name: String,
+        /// Why not.
+        why: String,
+    },
     /// Another process of the same training cannot go on.
     #[error("process {rank} of this training: {what}")]
     Rank {

@@ -9,9 +9,10 @@ pub struct Frame {
     pub observation: Vec<f32>,
     /// Privileged states, `[N, S]`; zeros where no agent is present.
     pub state: Vec<f32>,
-    /// Physical mask G_p, `[N, N]`: 1 where two agents are within the communication range and, if
-    /// the scenario says so, no polygon lies between them. Its diagonal is 1 for the agents that
-    /// are present.
+    /// Physical mask G_p, `[N, N]`, row by row: 1 where the agent of the row can hear that of the
+    /// column. Its diagonal is 1 for the agents that are present: those who act, and those whose
+    /// trajectories the last step truncated. A [`MultiAgentEnv`](super::MultiAgentEnv) need not
+    /// write the diagonal, nor leave out who is not present: [`Simple`](super::Simple) does both.
     pub comm: Vec<f32>,
     /// `[N, K]`, 1 where a choice is open to an agent, of the K choices of a discrete action; empty
     /// where actions are continuous.
@@ -24,15 +25,15 @@ pub struct Frame {
     /// `[N]`, each agent's own reward of the last step.
     pub reward: Vec<f32>,
     /// Which agents share in each other's advantages, `[N, N]`: 1 where they are no further apart
-    /// than the environment's share range. Empty if the scenario has no share range and all agents
-    /// share.
+    /// than the scenario's share range. Empty if all agents share, as in every environment without
+    /// SUMO.
     pub sharing: Vec<f32>,
     /// `[N]`, 1 where the last step ended an agent's trajectory by arrival or failure.
     pub terminated: Vec<f32>,
     /// `[N]`, 1 where the last step truncated an agent's trajectory: at the horizon, or because
-    /// the simulation broke off.
+    /// SUMO broke off.
     pub truncated: Vec<f32>,
-    /// Whether the simulation broke off in the last step.
+    /// Whether SUMO broke off in the last step.
     pub interrupted: bool,
 }
 
@@ -117,7 +118,7 @@ impl Frame {
         self.truncated.fill(0.0);
     }
 
-    /// Truncates all active agents because the simulation broke off.
+    /// Truncates all active agents because SUMO broke off.
     pub(super) fn interrupt(&mut self) {
         for (truncated, active) in self.truncated.iter_mut().zip(&mut self.active) {
             *truncated = *active;

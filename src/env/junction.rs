@@ -7,7 +7,7 @@
 //! come onto an occupied cell. Cars in one cell collide and go on. An episode is a success if nobody
 //! collides in it.
 //!
-//! Differences on purpose:
+//! Differences from IC3Net and MAGIC on purpose:
 //!
 //! - A car observes its own cell and route, and nothing of its surroundings (IC3Net's vision 0;
 //!   MAGIC's script has 1).
@@ -18,6 +18,10 @@
 //! - A slot becomes free one step after its car has left.
 //! - The privileged state also has the car's age and the time that is left, on which its rewards
 //!   depend.
+//!
+//! The paper's motivating example (its appendix, "Simple Traffic Junction") has the medium grid, 10
+//! cars and 40 steps as well. There, cars can also make a U-turn, observe the route alone, without
+//! their cell, and share one reward; it does not say the amounts of rewards and arrivals.
 
 use std::collections::BTreeMap;
 
@@ -43,17 +47,18 @@ type Cell = [i32; 2];
 /// Which grid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum JunctionSize {
-    /// Two one-way roads on a grid of 6 × 6 cells, 5 cars, 20 steps.
+    /// Two one-way roads on a grid of 7 × 7 cells (IC3Net's `--dim 6`, to which it adds 1), 5 cars,
+    /// 20 steps.
     Easy,
     /// Two roads for both directions on a grid of 14 × 14 cells, each car straight, right or left,
-    /// 10 cars, 40 steps (the paper's).
+    /// 10 cars, 40 steps.
     Medium,
 }
 
 impl JunctionSize {
     fn side(self) -> i32 {
         match self {
-            Self::Easy => 6,
+            Self::Easy => 7,
             Self::Medium => 14,
         }
     }
@@ -161,8 +166,9 @@ impl TrafficJunction {
             state,
             most_heard: None,
             metrics: vec![
-                OwnMetric::count("collisions", Better::Lower),
-                OwnMetric::count("cars", Better::Neither),
+                OwnMetric::count("collisions", Better::Lower)
+                    .meaning("Cars in a cell with another car, added up over the steps."),
+                OwnMetric::count("cars", Better::Neither).meaning("Cars that came."),
             ],
         };
         Self {
@@ -415,7 +421,10 @@ mod tests {
         assert_eq!(entries, [[0, 6], [13, 7], [7, 0], [6, 13]]);
         let ends: Vec<Cell> = routes[0].iter().map(|route| route[route.len() - 1]).collect();
         assert_eq!(ends, [[13, 6], [6, 0], [7, 13]]);
-        assert_eq!(JunctionSize::Easy.routes()[1][0][5], [3, 5]);
+        let easy = JunctionSize::Easy.routes();
+        let down: Vec<Cell> = (0..7).map(|row| [row, 3]).collect();
+        let right: Vec<Cell> = (0..7).map(|column| [3, column]).collect();
+        assert_eq!(easy, [[down], [right]]);
     }
 
     fn play(seed: u64, choose: impl Fn(&TrafficJunction, usize) -> f32) -> (TrafficJunction, f32) {

@@ -4,14 +4,13 @@
 //! - [`EnvSpec`]: what a learner must know about an environment.
 //! - [`Environment`] and [`Worlds`]: what learners and evaluations use. They know no other.
 //! - [`MultiAgentEnv`]: a world of your own, of which [`Simple`] makes an environment.
-//! - [`BuiltIn`]: environments without SUMO that come along, by name: the traffic junction, and the
-//!   tasks of `robotarium` and `quadruped`.
+//! - [`NamedEnvironment`]: environments without SUMO by name: those that come along (the traffic
+//!   junction, and the tasks of `robotarium` and `quadruped`), and yours ([`register`]).
 //! - `driving`: vehicles in SUMO. A [`Task`] is a scenario prepared for a number of vehicles; a
 //!   [`World`] is the traffic of one episode, which needs no simulator: it emits commands and takes
 //!   in snapshots; a [`VecEnv`] is many worlds in lock-step on the simulators that host them.
 //! - `expert`: drivers without training ([`Pursuit`]).
 
-mod built_in;
 mod driving;
 mod environment;
 mod episode;
@@ -20,6 +19,7 @@ mod expert;
 mod frame;
 mod junction;
 mod multi_agent;
+mod named;
 mod order;
 mod picture;
 mod quadruped;
@@ -27,7 +27,6 @@ mod record;
 mod robotarium;
 mod spec;
 
-pub use built_in::BuiltIn;
 pub use driving::{
     AgentView, Audit, BackgroundMetrics, Conflict, Driver, DrivingRecord, Failures, FlowMetrics,
     MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Refused, Resets, RouteGeometry,
@@ -41,6 +40,7 @@ pub use expert::Pursuit;
 pub use frame::Frame;
 pub use junction::{JunctionSize, TrafficJunction};
 pub use multi_agent::{MultiAgentEnv, Simple};
+pub use named::{NamedEnvironment, register};
 pub use order::Position;
 pub use picture::{Backdrop, Figure, FigureStatus, Lane, Picture, SignalPlace, Zone};
 pub use quadruped::{GateSurrogate, SheepSurrogate};

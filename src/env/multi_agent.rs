@@ -54,10 +54,11 @@ pub trait MultiAgentEnv: Send {
     /// Returns sizes, actions and features, which never change.
     fn spec(&self) -> &EnvSpec;
 
-    /// Begins an episode, which depends on `seed` alone. The frame comes with zeros everywhere:
-    /// write who acts (`active`), who hears whom (`comm`, with 1 on the diagonal for those who are
-    /// there), the observations, and the privileged states if there are any. With discrete actions
-    /// all choices are open at first (`available`).
+    /// Begins an episode, which depends on `seed` alone, and not on earlier episodes: a run that is
+    /// resumed begins its episodes again and repeats their actions. The frame comes with zeros
+    /// everywhere: write who acts (`active`), who hears whom (`comm`), the observations, and the
+    /// privileged states if there are any. With discrete actions all choices are open at first
+    /// (`available`).
     fn reset(&mut self, seed: Seed, frame: &mut Frame);
 
     /// Begins an episode of a training, which may be drawn from another distribution than those of
@@ -70,6 +71,7 @@ pub trait MultiAgentEnv: Send {
     /// in −1..1, or the number of a choice. The frame comes as it was left, but without rewards and
     /// ends: write rewards, what is observed now, and who has come to an end ([`Frame::end`],
     /// [`Frame::truncate`]). An agent that comes into a slot begins with [`Frame::begin_agent`].
+    /// Rewards of slots that did not act in this step do not count.
     ///
     /// The episode is over when no agent acts any more, unless it [goes on](Self::goes_on).
     fn step(&mut self, actions: &[f32], frame: &mut Frame);
@@ -79,8 +81,9 @@ pub trait MultiAgentEnv: Send {
         false
     }
 
-    /// Returns the share of agents that have reached their goal, at the end of an episode: policies
-    /// are compared by it, exploration anneals and training stops by it (`train.anneal_success`,
+    /// Returns how far an episode was a success, from 0 to 1, at its end: the share of agents that
+    /// have reached their goal, or another share that says what the task is about. Policies are
+    /// compared by it, exploration anneals and training stops by it (`train.anneal_success`,
     /// `train.stop_success`), and episodes below 1 are repeated (`train.repeat_failed`).
     fn success(&self) -> f64;
 
@@ -214,13 +217,7 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Environment for Sim
                 for actions in state.actions.chunks_exact(width) {
                     world.step(actions)?;
                 }
-                let back = (world.episode.index, world.episode.step as usize);
-                if back != (state.episode, state.actions.len() / width) {
-                    return Err(world.wrong_in_all(
-                        "the environment does not come back to where it was: it has changed, or an episode does not \
-                         depend on its seed and the actions alone",
-                    ));
-                }
+                world.check_against(state, state.actions.len() / width)?;
             }
             world.finished = None;
             world.episode.restore(state);

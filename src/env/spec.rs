@@ -30,6 +30,8 @@ pub struct OwnMetric {
     pub better: Better,
     /// Which values are possible.
     pub values: Values,
+    /// What it means, with its unit, in a sentence for reports; may be empty.
+    pub meaning: &'static str,
 }
 
 /// Which values of a metric are possible.
@@ -48,17 +50,23 @@ pub enum Values {
 impl OwnMetric {
     /// Returns a metric whose values are numbers of any kind.
     pub const fn new(name: &'static str, better: Better) -> Self {
-        Self { name, better, values: Values::Any }
+        Self { name, better, values: Values::Any, meaning: "" }
     }
 
     /// Returns a metric whose values are counts or other numbers from 0 on.
     pub const fn count(name: &'static str, better: Better) -> Self {
-        Self { name, better, values: Values::Positive }
+        Self { name, better, values: Values::Positive, meaning: "" }
     }
 
     /// Returns a metric whose values are shares from 0 to 1.
     pub const fn rate(name: &'static str, better: Better) -> Self {
-        Self { name, better, values: Values::Rate }
+        Self { name, better, values: Values::Rate, meaning: "" }
+    }
+
+    /// Returns the same metric with a sentence that says what it means.
+    #[must_use]
+    pub const fn meaning(self, meaning: &'static str) -> Self {
+        Self { meaning, ..self }
     }
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Metrics;
 use super::metric::{FINE, FINE_COUNT, Metric, PERCENT, Scale, Shown, Source};
-use crate::env::{Better, BuiltIn, EpisodeRecord, OwnMetric, Values};
+use crate::env::{Better, EpisodeRecord, NamedEnvironment, OwnMetric, Values};
 use crate::stats::Estimate;
 
 /// A metric of an environment: mean with its 95 % interval over episodes, and which values are
@@ -33,7 +33,7 @@ pub(super) fn summary(
     let summary = |metric: &OwnMetric| {
         let values: Vec<f64> =
             records.iter().filter_map(|record| record.own.get(metric.name)).copied().collect();
-        let OwnMetric { name, better, values: possible } = *metric;
+        let OwnMetric { name, better, values: possible, .. } = *metric;
         let estimate = match possible {
             Values::Rate => Estimate::rate(&values)?,
             Values::Any | Values::Positive => scale(possible).possible(Estimate::t(&values)?),
@@ -49,9 +49,11 @@ pub fn own<'a>(results: impl Iterator<Item = &'a Metrics>) -> Vec<&'static Metri
     all.into_iter().map(|(name, own)| registered(name, own.better, own.values)).collect()
 }
 
-/// Returns the metrics of the built-in environments.
-pub fn built_in() -> impl Iterator<Item = &'static Metric> {
-    let metrics = BuiltIn::all().flat_map(|one| one.environment().spec().metrics.clone());
+/// Returns the metrics that environments with a name define by themselves.
+pub fn of_environments() -> impl Iterator<Item = &'static Metric> {
+    let metrics = NamedEnvironment::all()
+        .into_iter()
+        .flat_map(|one| one.environment().spec().metrics.clone());
     let named: BTreeMap<&str, OwnMetric> = metrics.map(|metric| (metric.name, metric)).collect();
     named.into_values().map(|metric| registered(metric.name, metric.better, metric.values))
 }
@@ -63,6 +65,18 @@ fn scale(values: Values) -> Scale {
         Values::Positive => FINE_COUNT,
         Values::Rate => PERCENT,
     }
+}
+
+/// Returns what a metric means, if an environment with a name says so.
+fn meaning(name: &str) -> &'static str {
+    let metrics = NamedEnvironment::all()
+        .into_iter()
+        .flat_map(|one| one.environment().spec().metrics.clone());
+    let known = metrics.filter(|metric| metric.name == name).map(|metric| metric.meaning);
+    known
+        .into_iter()
+        .find(|meaning| !meaning.is_empty())
+        .unwrap_or("A metric that the environment defines by itself.")
 }
 
 /// Returns the entry of a metric, which lives as long as the program.
@@ -83,7 +97,7 @@ fn registered(name: &str, better: Better, values: Values) -> &'static Metric {
         scale: scale(values),
         better,
         shown: Shown::InFigures,
-        explanation: "A metric that the environment defines by itself.",
+        explanation: meaning(name),
         source: Source::Own,
     }));
     known.push(metric);

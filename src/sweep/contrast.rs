@@ -77,7 +77,7 @@ impl Contrast {
     pub(super) fn check(&self, evaluations: &[Evaluate]) -> Result<(), String> {
         let at = format!("[[contrast]] `{}`", self.title);
         if self.metric().is_none() {
-            let all = metrics::all().chain(metrics::built_in());
+            let all = metrics::all().chain(metrics::of_environments());
             let known: Vec<&str> = all.map(|metric| metric.id).collect();
             return Err(format!("{at}: metric must be one of {}", known.join(", ")));
         }
@@ -89,7 +89,7 @@ impl Contrast {
         if self.of == Compared::Training
             && self.metric().is_none_or(|m| m.shown != Shown::Everywhere && !m.is_own())
         {
-            let all = metrics::shown(Shown::Everywhere).chain(metrics::built_in());
+            let all = metrics::shown(Shown::Everywhere).chain(metrics::of_environments());
             let known: Vec<&str> = all.map(|m| m.id).collect();
             return Err(format!(
                 "{at}: the metric of validations must be one of {}",

@@ -144,7 +144,7 @@ impl File {
                     all.join(", ")
                 ));
             }
-            let all = || metrics::shown(Shown::InTables).chain(metrics::built_in());
+            let all = || metrics::shown(Shown::InTables).chain(metrics::of_environments());
             let reported = || all().map(|metric| metric.id);
             if !known || !reported().any(|id| id == *metric) {
                 return Err(format!(

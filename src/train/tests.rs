@@ -15,7 +15,7 @@ use crate::ranks::threads::threads;
 use crate::ranks::{Team, part_of};
 
 fn environment() -> Box<dyn Environment> {
-    env::BuiltIn::named("traffic_junction_easy").expect("it is there").environment()
+    env::NamedEnvironment::find("traffic_junction_easy").expect("it is there").environment()
 }
 
 fn config(method: &str, more: &[&str]) -> Config {
@@ -24,7 +24,7 @@ fn config(method: &str, more: &[&str]) -> Config {
     let sets = usual.iter().chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
     let flags = vec![("algorithm", Value::String(method.to_owned()))];
     let layers = Layers { sets, flags, ..Layers::default() };
-    layers.without_scenario(environment().spec()).expect("settings")
+    layers.for_environment(&*environment()).expect("settings")
 }
 
 type Content = (BTreeMap<String, Vec<f64>>, String);

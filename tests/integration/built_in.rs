@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 use iwol_sumo::algo::{self, CommunicationScope};
 use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Layers};
-use iwol_sumo::env::{BuiltIn, EnvSpec, Environment, Simple, Stream, WorldPhase};
+use iwol_sumo::env::{self, EnvSpec, Environment, NamedEnvironment, Simple, Stream, WorldPhase};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::train::Trainer;
 use toml::Value;
@@ -44,7 +44,7 @@ fn random(spec: &EnvSpec, worlds: usize, rng: &mut rng::Rng) -> Vec<f32> {
 /// restored go on as those that were not interrupted.
 #[test]
 fn worlds_come_back_to_where_they_were() {
-    for one in BuiltIn::all() {
+    for one in NamedEnvironment::all() {
         let environment = one.environment();
         let spec = environment.spec();
         let stream = stream(3, true);
@@ -99,7 +99,8 @@ fn worlds_come_back_to_where_they_were() {
 #[test]
 fn training_may_have_easier_episodes() {
     let cars = |training: bool| {
-        let environment = BuiltIn::named("traffic_junction").expect("it is there").environment();
+        let environment =
+            NamedEnvironment::find("traffic_junction").expect("it is there").environment();
         let mut worlds = environment.start(&stream(1, training)).expect("worlds");
         let mut found = Vec::new();
         while found.len() < 40 {
@@ -112,10 +113,10 @@ fn training_may_have_easier_episodes() {
     assert!(least(cars(true)) < 8.0 && least(cars(false)) > 12.0);
 }
 
-fn config(method: &str, spec: &EnvSpec, sets: &[&str]) -> Config {
+fn config(method: &str, environment: &dyn Environment, sets: &[&str]) -> Config {
     let flags = vec![("algorithm", Value::String(method.to_owned()))];
     let sets = sets.iter().map(|set| (*set).to_owned()).collect();
-    Layers { flags, sets, ..Layers::default() }.without_scenario(spec).expect("settings")
+    Layers { flags, sets, ..Layers::default() }.for_environment(environment).expect("settings")
 }
 
 fn success(trainer: &mut Trainer) -> f64 {
@@ -123,11 +124,32 @@ fn success(trainer: &mut Trainer) -> f64 {
     found.expect("episodes").success.mean
 }
 
+/// An application's environment has a name in settings once it is registered, and only once.
+#[test]
+fn environments_are_registered_once() {
+    env::register(|| Box::new(Simple::new("registered", own_env::Square::new))).expect("new");
+    let flags = vec![("environment", Value::String("registered".to_owned()))];
+    let found = Layers { flags, ..Layers::default() }.resolve().expect("it is known");
+    assert_eq!(
+        (found.place.name(), found.config.environment.as_str()),
+        ("registered", "registered")
+    );
+    assert_eq!(found.config.agents, 4);
+    assert!(iwol_sumo::metrics::of_environments().any(|metric| metric.id == "steps"));
+    let refused = |make| env::register(make).expect_err("refused").to_string();
+    let taken = refused(|| Box::new(Simple::new("registered", own_env::Square::new)));
+    assert!(taken.contains("`registered`: another environment has this name"), "{taken}");
+    let taken = refused(|| Box::new(Simple::new("navigation", own_env::Square::new)));
+    assert!(taken.contains("another environment has this name"), "{taken}");
+    let path = refused(|| Box::new(Simple::new("a/b", own_env::Square::new)));
+    assert!(path.contains("allowed: letters, digits, `_` and `-`"), "{path}");
+}
+
 /// The example of an environment is learned within seconds.
 #[test]
 fn the_example_of_an_environment_is_learned() {
     let environment = || Box::new(Simple::new("square", own_env::Square::new));
-    let settings = config("mappo", environment().spec(), &["train.envs=8"]);
+    let settings = config("mappo", &*environment(), &["train.envs=8"]);
     let mut trainer = Trainer::new(settings, environment()).expect("a trainer");
     for _ in 0..40 {
         trainer.iterate().expect("an iteration");
@@ -146,9 +168,9 @@ fn the_example_of_a_method_is_one_of_the_methods() {
     let can = algo::capabilities("ippo").expect("it is known");
     assert!(can.scope == CommunicationScope::None && can.any_number && can.discrete);
 
-    let environment = || BuiltIn::named("navigation").expect("it is there").environment();
+    let environment = || NamedEnvironment::find("navigation").expect("it is there").environment();
     let sets = ["train.envs=8", "train.rollout_steps=100", "train.validation_episodes=16"];
-    let settings = || config("ippo", environment().spec(), &sets);
+    let settings = || config("ippo", &*environment(), &sets);
     let mut trainer = Trainer::new(settings(), environment()).expect("a trainer");
     let before = success(&mut trainer);
     for _ in 0..3 {
@@ -180,7 +202,7 @@ fn the_example_of_a_method_is_one_of_the_methods() {
 #[test]
 fn episodes_are_recorded_and_played_back() {
     let folder = folder();
-    for name in BuiltIn::NAMES {
+    for name in NamedEnvironment::BUILT_IN {
         let play = |arguments: &[&str]| {
             let output = iwol(arguments).current_dir(folder.path()).output().expect("it runs");
             let text = String::from_utf8(output.stderr).expect("text");

@@ -8,7 +8,7 @@ use iwol_sumo::checkpoint::Checkpoint;
 use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::env::{
     ActionDimension, ActionSpace, Better, EnvSpec, Environment, Features, Figure, FigureStatus,
-    Frame, MultiAgentEnv, OwnMetric, Picture, Simple, Stream, Worlds,
+    Frame, MultiAgentEnv, OwnMetric, Picture, Simple, Stream, WorldPhase, Worlds,
 };
 use iwol_sumo::evaluate::{EvaluationObserver, Policy, evaluate};
 use iwol_sumo::metrics::Metrics;
@@ -40,10 +40,20 @@ enum Mistake {
     Panic,
     OtherSize,
     NoFlag,
-    Deaf,
+    NoEnd,
+    NoShare,
+    NegativeCount,
+    EndsAtOnce,
     Uninvited,
     TooEarly,
+    /// An episode ends earlier in later worlds.
     Chance,
+    /// Other places are drawn in later worlds.
+    OtherPlaces,
+    /// Everybody earns 1 in each step.
+    PaysAll,
+    /// Everybody hears everybody, who is not there as well.
+    HearsAll,
 }
 
 /// Number of worlds that were made of an environment that depends on it.
@@ -52,7 +62,7 @@ static MADE: AtomicU32 = AtomicU32::new(0);
 impl Line {
     fn new(mistake: Mistake) -> Self {
         let features = || Features::of("way", &[("left", "1", -1.0, 1.0), ("time", "1", 0.0, 1.0)]);
-        if mistake == Mistake::Chance {
+        if [Mistake::Chance, Mistake::OtherPlaces].contains(&mistake) {
             MADE.fetch_add(1, Ordering::Relaxed);
         }
         let spec = EnvSpec {
@@ -61,7 +71,10 @@ impl Line {
             observation: features(),
             state: features(),
             most_heard: None,
-            metrics: vec![OwnMetric::new("steps", Better::Lower)],
+            metrics: vec![
+                OwnMetric::count("steps", Better::Lower),
+                OwnMetric::rate("share", Better::Higher),
+            ],
         };
         Self { spec, agents: [[0.0; 2]; AGENTS], step: 0, arrived: 0, mistake }
     }
@@ -89,11 +102,18 @@ impl MultiAgentEnv for Line {
     }
 
     fn reset(&mut self, seed: Seed, frame: &mut Frame) {
+        let other = u64::from(MADE.load(Ordering::Relaxed));
+        let seed = if self.mistake == Mistake::OtherPlaces { seed.index(other) } else { seed };
         rng::fill_uniform(&mut seed.rng(), self.agents.as_flattened_mut());
         (self.step, self.arrived) = (0, 0);
         frame.active.copy_from_slice(&[1.0, 1.0, 0.0]);
         Self::hear(frame);
         self.observe(frame);
+        match self.mistake {
+            Mistake::EndsAtOnce => frame.end(1),
+            Mistake::HearsAll => frame.comm.fill(1.0),
+            _ => {}
+        }
     }
 
     fn step(&mut self, actions: &[f32], frame: &mut Frame) {
@@ -119,7 +139,12 @@ impl MultiAgentEnv for Line {
         if self.step == 3 {
             frame.begin_agent(2);
         }
-        Self::hear(frame);
+        if self.mistake != Mistake::HearsAll {
+            Self::hear(frame);
+        }
+        if self.mistake == Mistake::PaysAll {
+            frame.reward.fill(1.0);
+        }
         self.observe(frame);
         if self.step == 5 {
             match self.mistake {
@@ -128,7 +153,7 @@ impl MultiAgentEnv for Line {
                 Mistake::Panic => panic!("there is no sixth step"),
                 Mistake::OtherSize => frame.observation.push(0.0),
                 Mistake::NoFlag => frame.comm[1] = 0.5,
-                Mistake::Deaf => frame.comm.fill(0.0),
+                Mistake::NoEnd => frame.terminated[0] = 0.5,
                 _ => {}
             }
         }
@@ -159,7 +184,11 @@ impl MultiAgentEnv for Line {
     }
 
     fn metrics(&self) -> Vec<f64> {
-        vec![f64::from(self.step)]
+        match self.mistake {
+            Mistake::NoShare => vec![1.0, 85.0],
+            Mistake::NegativeCount => vec![-2.0, 0.5],
+            _ => vec![f64::from(self.step), 0.5],
+        }
     }
 
     fn picture(&self) -> Option<Picture> {
@@ -182,7 +211,7 @@ fn config(algorithm: &str, more: &[&str]) -> Config {
     let sets = ["train.envs=4", "train.rollout_steps=64", "ppo.minibatch=128", "ppo.epochs=5"];
     let sets = sets.iter().chain(more).map(ToString::to_string).collect();
     Layers { flags, sets, ..Layers::default() }
-        .without_scenario(&Line::new(Mistake::None).spec)
+        .for_environment(&*line(Mistake::None))
         .expect("settings")
 }
 
@@ -253,7 +282,7 @@ fn runs_go_on_bit_for_bit() {
     let text = stored.config.clone();
     let document = Document { name: "stored".to_owned(), text, generated: true };
     let layers = Layers { document, ..Layers::default() };
-    let settings = layers.without_scenario(&Line::new(Mistake::None).spec).expect("settings");
+    let settings = layers.for_environment(&*line(Mistake::None)).expect("settings");
     let mut second = Trainer::resume(settings, line(Mistake::None), &stored).expect("resumed");
     for _ in 0..2 {
         second.iterate().expect("an iteration");
@@ -333,6 +362,49 @@ fn frames_tell_who_comes_and_who_ends() {
     assert_eq!((begun, ended), ([1, 1, 2], [1, 1, 1]));
 }
 
+/// Who is not there earns nothing, hears nobody and is not heard, whatever the environment writes.
+#[test]
+fn those_who_are_not_there_do_not_count() {
+    let stream = Stream {
+        worlds: 1,
+        stride: 1,
+        seed: Seed::new(5),
+        episodes: 0..4,
+        training: true,
+        repeat_failed: 0.0,
+        beside: false,
+    };
+    let (mut paid, mut heard) = (0.0, 0.0);
+    for mistake in [Mistake::PaysAll, Mistake::HearsAll] {
+        let environment = line(mistake);
+        let mut world = environment.start(&stream).expect("a world");
+        while !world.is_finished() {
+            let acted: Vec<f32> = world.view(0).frame.active.clone();
+            world.step(&[0.3, -0.3, 1.0]).expect("a step");
+            let view = world.view(0);
+            if view.phase == WorldPhase::Idle {
+                break;
+            }
+            let frame = view.frame;
+            for i in 0..AGENTS {
+                let there = |i: usize| frame.active[i] + frame.truncated[i] > 0.0;
+                assert!(acted[i] > 0.0 || frame.reward[i] == 0.0, "{mistake:?}");
+                paid += frame.reward[i];
+                for j in 0..AGENTS {
+                    let hears = frame.comm[i * AGENTS + j];
+                    assert!(hears == 0.0 || there(i) && there(j), "{mistake:?}: {:?}", frame.comm);
+                    assert!(i != j || !there(i) || hears == 1.0, "{mistake:?}: {:?}", frame.comm);
+                    if mistake == Mistake::HearsAll {
+                        assert!(hears == f32::from(u8::from(there(i) && there(j))));
+                        heard += hears;
+                    }
+                }
+            }
+        }
+    }
+    assert!(paid > 20.0 && heard > 20.0, "{paid} {heard}");
+}
+
 /// An episode is recorded and played back as those of vehicles are.
 #[test]
 fn episodes_are_recorded_for_the_player() {
@@ -363,8 +435,8 @@ fn episodes_are_recorded_for_the_player() {
 #[test]
 fn mistakes_of_an_environment_are_named() {
     let fails = |mistake: Mistake| {
-        let mut trainer = Trainer::new(config("mappo", &[]), line(mistake)).expect("a trainer");
-        let error = trainer.iterate().expect_err("refused");
+        let trainer = Trainer::new(config("mappo", &[]), line(mistake));
+        let error = trainer.and_then(|mut trainer| trainer.iterate()).err().expect("refused");
         assert!(matches!(error, iwol_sumo::train::Error::Env(_)), "{error:?}");
         error.to_string()
     };
@@ -377,7 +449,10 @@ fn mistakes_of_an_environment_are_named() {
     for (mistake, what) in [
         (Mistake::OtherSize, "`observation` has 7 numbers, not 6"),
         (Mistake::NoFlag, "a number in `comm` is 0.5, neither 0 nor 1"),
-        (Mistake::Deaf, "`comm` does not have 1 on its diagonal for it"),
+        (Mistake::NoEnd, "a number in `terminated` is 0.5, neither 0 nor 1"),
+        (Mistake::NoShare, "the metric `share` is 85; allowed: a share from 0 to 1"),
+        (Mistake::NegativeCount, "the metric `steps` is -2; allowed: a number from 0 on"),
+        (Mistake::EndsAtOnce, "agent 1: ends in `reset`"),
         (Mistake::Uninvited, "agent 2: acts, but `begin_agent` was not called"),
         (Mistake::TooEarly, "agent 2: begins in a slot that was in use until this step"),
     ] {
@@ -393,12 +468,27 @@ fn mistakes_of_an_environment_are_named() {
     MADE.store(0, Ordering::Relaxed);
     let error = Trainer::resume(settings(), line(Mistake::Chance), &stored).err().expect("refused");
     assert!(error.to_string().contains("does not come back to where it was"), "{error}");
+    // Nor does it in one that begins an episode elsewhere, although it lasts as long.
+    let mut trainer =
+        Trainer::new(config("mappo", &[]), line(Mistake::OtherPlaces)).expect("a trainer");
+    trainer.iterate().expect("an iteration");
+    let stored = trainer.checkpoint();
+    let error = Trainer::resume(config("mappo", &[]), line(Mistake::OtherPlaces), &stored);
+    let error = error.err().expect("refused").to_string();
+    assert!(error.contains("does not come back to where it was"), "{error}");
+    // Nor in an environment with another name.
+    let other = Simple::new("other", || Line::new(Mistake::None));
+    let layers = Layers {
+        document: Document { name: "stored".to_owned(), text: stored.config, generated: true },
+        ..Layers::default()
+    };
+    let error = layers.for_environment(&other).expect_err("refused").to_string();
+    assert!(error.contains("`environment`: `line` is another one than `other`"), "{error}");
     let few = Layers { sets: vec!["train.fewest_agents=2".to_owned()], ..Layers::default() };
-    let error = few.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused");
+    let error = few.for_environment(&*line(Mistake::None)).expect_err("refused");
     assert!(error.to_string().contains("allowed in scenarios only"), "{error}");
     let many = Layers { sets: vec!["agents=5".to_owned()], ..Layers::default() };
-    let error =
-        many.without_scenario(&Line::new(Mistake::None).spec).expect_err("refused").to_string();
+    let error = many.for_environment(&*line(Mistake::None)).expect_err("refused").to_string();
     assert!(error.contains("the environment has 3 agents"), "{error}");
 }
 
@@ -484,7 +574,7 @@ fn methods_learn_discrete_actions() {
         let sets = ["train.envs=4", "train.rollout_steps=64", "ppo.minibatch=128"];
         let sets = sets.map(str::to_owned).to_vec();
         let layers = Layers { flags, sets, ..Layers::default() };
-        let config = layers.without_scenario(&Row::new().spec).expect("settings");
+        let config = layers.for_environment(&*environment()).expect("settings");
         let ppo = &config.learner.ppo;
         assert!(ppo.entropy_coefficient == 0.01 && !ppo.learning_rate_follows_noise, "{ppo:?}");
         let mut trainer = Trainer::new(config, environment()).expect("a trainer");
@@ -510,6 +600,18 @@ fn built_in_environments_are_used_by_name() {
         (output.status.success(), text.concat())
     };
     let train = ["train", "--environment", "traffic_junction_easy", "--algorithm", "magic"];
+    // Options that have no effect there are refused.
+    for (option, why) in [
+        ("simulation.backend=libsumo", "the environment is without SUMO"),
+        ("scenario.reward.crash=-5", "the environment is without SUMO"),
+        ("exploration.correlation=0.5", "actions are discrete, and without noise"),
+    ] {
+        let (fine, text) = play(&[&train[..], &["--set", option]].concat());
+        assert!(!fine && text.contains(option) && text.contains(why), "{text}");
+    }
+    let maddpg = ["train", "--environment", "traffic_junction_easy", "--algorithm", "maddpg"];
+    let (fine, text) = play(&maddpg);
+    assert!(!fine && text.contains("maddpg is for continuous actions only"), "{text}");
     let small = ["--set", "train.envs=2", "--set", "train.rollout_steps=20", "--out", &name(&run)];
     let few = ["--set", "train.validation_episodes=2", "--steps", "80"];
     let (fine, text) = play(&[&train[..], &small, &few].concat());
@@ -558,7 +660,7 @@ fn built_in_environments_are_used_by_name() {
         ),
         (
             vec!["train", "--environment", "traffic_junction", "--set", "scenario=a.xml"],
-            "a run is in a scenario or in a built-in environment",
+            "a run is in a scenario or in an environment",
         ),
     ] {
         let (fine, text) = play(&arguments);

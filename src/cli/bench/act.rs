@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use crate::algo::{self, ActMode, Observation, Settings};
+use crate::env::Task;
+use crate::rng::{self, Seed};
+use crate::rollout::{Rollout, Sizes};
+use crate::scenario::Scenario;
 use anyhow::bail;
-use iwol_sumo::algo::{self, ActMode, Observation, Settings};
-use iwol_sumo::env::Task;
-use iwol_sumo::rng::{self, Seed};
-use iwol_sumo::rollout::{Rollout, Sizes};
-use iwol_sumo::scenario::Scenario;
 use serde::Serialize;
 use tch::{Device, Tensor};
 

@@ -7,9 +7,9 @@ use std::path::Path;
 use std::process::Command as Program;
 use std::time::Instant;
 
+use crate::sumo::{self, Backend, Command, Snapshot};
+use crate::words::counted;
 use anyhow::{Context as _, bail, ensure};
-use iwol_sumo::sumo::{self, Backend, Command, Snapshot};
-use iwol_sumo::words::counted;
 use serde::{Deserialize, Serialize};
 
 use super::super::chain;

@@ -1,6 +1,6 @@
 //! Simulations that run the workload in lock-step.
 
-use iwol_sumo::sumo::{self, Backend, Command, Simulation, Snapshot};
+use crate::sumo::{self, Backend, Command, Simulation, Snapshot};
 use rayon::prelude::*;
 
 use super::workload::Workload;

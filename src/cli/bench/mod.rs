@@ -11,7 +11,7 @@ mod update;
 mod workload;
 
 use super::Verdict;
-use iwol_sumo::env::EnvSpec;
+use crate::env::EnvSpec;
 
 /// Measures the speed of simulation, decisions, updates and whole trainings.
 #[derive(Debug, clap::Args)]

@@ -3,10 +3,10 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use crate::env::Task;
+use crate::scenario::Scenario;
+use crate::sumo::{self, Backend, Command, Meter};
 use anyhow::{Context as _, ensure};
-use iwol_sumo::env::Task;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{self, Backend, Command, Meter};
 use serde::Serialize;
 
 use super::super::chain;

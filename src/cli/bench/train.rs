@@ -5,14 +5,14 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use crate::config::{Document, Layers, Resolution};
+use crate::curves::{self, Along, Line};
+use crate::driving;
+use crate::metrics::SUCCESS;
+use crate::provenance::{Host, Program};
+use crate::ranks::Team;
+use crate::train::{Report, RunDir};
 use anyhow::Context as _;
-use iwol_sumo::config::{Document, Layers, Resolution};
-use iwol_sumo::curves::{self, Along, Line};
-use iwol_sumo::driving;
-use iwol_sumo::metrics::SUCCESS;
-use iwol_sumo::provenance::{Host, Program};
-use iwol_sumo::ranks::Team;
-use iwol_sumo::train::{Report, RunDir};
 use serde::Serialize;
 use toml::Value;
 

@@ -4,13 +4,13 @@ use std::path::PathBuf;
 use std::process::Command as Program;
 use std::time::Instant;
 
+use crate::algo::settings::{Iwol, Network};
+use crate::algo::{self, Algorithm, ComputeDevice, Settings, UpdateParameters};
+use crate::config::{Config, Document, Layers};
+use crate::env::Task;
+use crate::rng::{self, Seed};
+use crate::rollout::{Rollout, Sizes};
 use anyhow::{Context as _, ensure};
-use iwol_sumo::algo::settings::{Iwol, Network};
-use iwol_sumo::algo::{self, Algorithm, ComputeDevice, Settings, UpdateParameters};
-use iwol_sumo::config::{Config, Document, Layers};
-use iwol_sumo::env::Task;
-use iwol_sumo::rng::{self, Seed};
-use iwol_sumo::rollout::{Rollout, Sizes};
 use serde::Serialize;
 use toml::Value;
 

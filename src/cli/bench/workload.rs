@@ -1,8 +1,8 @@
 //! The simulated workload of the speed measurements: vehicles drive their routes at changing speeds
 //! and are all put back to their start every 80 steps. Other clients can run the same commands.
 
-use iwol_sumo::env::Task;
-use iwol_sumo::sumo::{Command, Hosting, SimulationConfig, VehicleState};
+use crate::env::Task;
+use crate::sumo::{Command, Hosting, SimulationConfig, VehicleState};
 use serde_json::{Value, json};
 
 /// Steps between two respawns of all vehicles.

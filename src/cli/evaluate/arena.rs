@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
+use crate::driving::{self, Policy};
+use crate::env::{Backdrop, EnvSpec, Environment, Error, Task};
+use crate::evaluate::{self, Evaluation, EvaluationObserver};
+use crate::rng::Seed;
+use crate::sumo::Hosting;
 use anyhow::bail;
-use iwol_sumo::driving::{self, Policy};
-use iwol_sumo::env::{Backdrop, EnvSpec, Environment, Error, Task};
-use iwol_sumo::evaluate::{self, Evaluation, EvaluationObserver};
-use iwol_sumo::rng::Seed;
-use iwol_sumo::sumo::Hosting;
 
 /// Where policies are evaluated.
 pub(super) enum Arena {

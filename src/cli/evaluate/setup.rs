@@ -3,16 +3,16 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::algo::{self, Algorithm, Channel};
+use crate::checkpoint::Checkpoint;
+use crate::config::{self, Change, Config, Document, Layers, Origin, Resolution, TaskSource};
+use crate::env::{EnvSpec, Task};
+use crate::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
+use crate::provenance::Training;
+use crate::rng::Seed;
+use crate::scenario::Scenario;
+use crate::train::RunDir;
 use anyhow::bail;
-use iwol_sumo::algo::{self, Algorithm, Channel};
-use iwol_sumo::checkpoint::Checkpoint;
-use iwol_sumo::config::{self, Change, Config, Document, Layers, Origin, Resolution, TaskSource};
-use iwol_sumo::env::{EnvSpec, Task};
-use iwol_sumo::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
-use iwol_sumo::provenance::Training;
-use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::train::RunDir;
 use toml::Value;
 
 use super::Args;
@@ -73,7 +73,7 @@ impl Setup {
                 task: Arc::new(Task::new(scenario, config.agents)?),
                 hosting: config.hosting(),
             },
-            TaskSource::BuiltIn(built_in) => Arena::Other(built_in.environment()),
+            TaskSource::Environment(named) => Arena::Other(named.environment()),
         };
         let learned = match &checkpoint {
             Some(checkpoint) => Some((build(checkpoint, &config, arena.spec())?, config.channel)),

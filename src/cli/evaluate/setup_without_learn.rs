@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::env::{NamedEnvironment, Task};
+use crate::evaluate::Controller;
+use crate::provenance::Training;
+use crate::scenario::Scenario;
+use crate::sumo::{Choice, Hosting};
 use anyhow::{Context as _, bail};
-use iwol_sumo::env::{BuiltIn, Task};
-use iwol_sumo::evaluate::Controller;
-use iwol_sumo::provenance::Training;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::{Choice, Hosting};
 use serde::Deserialize as _;
 use serde::de::IntoDeserializer as _;
 use serde::de::value::Error;
@@ -64,8 +64,11 @@ impl Setup {
     }
 
     fn without_scenario(args: &Args, name: &str) -> anyhow::Result<Self> {
-        let Some(built_in) = BuiltIn::named(name) else {
-            bail!("there is no environment `{name}` (available: {})", BuiltIn::NAMES.join(", "));
+        let Some(built_in) = NamedEnvironment::find(name) else {
+            bail!(
+                "there is no environment `{name}` (available: {})",
+                NamedEnvironment::names().join(", ")
+            );
         };
         let arena = Arena::Other(built_in.environment());
         let agents = u32::try_from(arena.spec().agents)?;

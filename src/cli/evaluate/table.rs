@@ -2,9 +2,9 @@
 
 use std::fmt::Write as _;
 
-use iwol_sumo::evaluate::DETERMINED;
-use iwol_sumo::metrics::{self, Better, EvaluationResult, Knowledge, Metric};
-use iwol_sumo::words::counted;
+use crate::evaluate::DETERMINED;
+use crate::metrics::{self, Better, EvaluationResult, Knowledge, Metric};
+use crate::words::counted;
 
 /// Describes how much of the variance of a target a latent explains: of the whole target, and of
 /// the features that the observation does not determine.
@@ -44,7 +44,7 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
         .filter(|metric| {
             rows.iter()
                 .filter_map(|row| metric.estimate(&row.metrics))
-                .any(|estimate| metric.better != Better::Neither || estimate.mean > 0.0)
+                .any(|estimate| metric.better != Better::Neither || estimate.mean != 0.0)
         })
         .collect();
     let headings = lines.iter().map(|metric| metric.heading());

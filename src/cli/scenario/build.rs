@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use iwol_sumo::scenario::author::{State, build};
+use crate::scenario::author::{State, build};
 
 use super::Verdict;
 

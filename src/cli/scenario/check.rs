@@ -2,11 +2,11 @@
 
 use std::path::PathBuf;
 
+use crate::inspect::{Report, Trial, check};
+use crate::rng::Seed;
+use crate::scenario::Severity;
+use crate::words::counted;
 use anyhow::{Context as _, ensure};
-use iwol_sumo::inspect::{Report, Trial, check};
-use iwol_sumo::rng::Seed;
-use iwol_sumo::scenario::Severity;
-use iwol_sumo::words::counted;
 
 use super::Verdict;
 

@@ -2,10 +2,8 @@
 
 use std::path::PathBuf;
 
-use iwol_sumo::scenario::author::{
-    Candidate, Choices, Imported, Map, import, import_configuration,
-};
-use iwol_sumo::words::counted;
+use crate::scenario::author::{Candidate, Choices, Imported, Map, import, import_configuration};
+use crate::words::counted;
 
 use super::Verdict;
 

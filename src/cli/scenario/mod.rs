@@ -42,7 +42,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         Verb::Check(args) => check::run(args),
         Verb::Show(args) => show::run(args),
         Verb::Reference => {
-            super::print(format_args!("{}", iwol_sumo::scenario::markdown()));
+            super::print(format_args!("{}", crate::scenario::markdown()));
             Ok(Verdict::Good)
         }
     }

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crate::scenario::author::{Sizes, Template, create};
 use anyhow::Context as _;
-use iwol_sumo::scenario::author::{Sizes, Template, create};
 
 use super::Verdict;
 

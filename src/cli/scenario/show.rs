@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
+use crate::env::Task;
+use crate::inspect::{page, picture};
+use crate::record::write_atomic;
+use crate::scenario::Scenario;
+use crate::sumo::net::Net;
 use anyhow::bail;
-use iwol_sumo::env::Task;
-use iwol_sumo::inspect::{page, picture};
-use iwol_sumo::record::write_atomic;
-use iwol_sumo::scenario::Scenario;
-use iwol_sumo::sumo::net::Net;
 
 use super::Verdict;
 

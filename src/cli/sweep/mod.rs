@@ -9,10 +9,10 @@ mod work;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
+use crate::sweep::{Cell, State, Sweep};
+use crate::words::counted;
 use anyhow::bail;
 use globset::Glob;
-use iwol_sumo::sweep::{Cell, State, Sweep};
-use iwol_sumo::words::counted;
 
 use self::progress::{table, time_left};
 use super::Verdict;

@@ -3,9 +3,9 @@
 use std::fmt::Write as _;
 use std::time::Duration;
 
-use iwol_sumo::sweep::{Cell, State, Sweep};
-use iwol_sumo::train::human_duration;
-use iwol_sumo::words::counted;
+use crate::sweep::{Cell, State, Sweep};
+use crate::train::human_duration;
+use crate::words::counted;
 
 /// Formats one line per cell, and the time that the remaining cells will take.
 pub(super) fn table(sweep: &Sweep, cells: &[(usize, &Cell)]) -> String {

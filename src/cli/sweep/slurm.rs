@@ -5,10 +5,10 @@ use std::path::Path;
 use std::process::Command;
 use std::time::SystemTime;
 
+use crate::record::write_atomic;
+use crate::sweep::{Cell, State, Sweep};
+use crate::words::counted;
 use anyhow::{Context as _, bail};
-use iwol_sumo::record::write_atomic;
-use iwol_sumo::sweep::{Cell, State, Sweep};
-use iwol_sumo::words::counted;
 
 use super::Args;
 use crate::cli::Verdict;

@@ -8,11 +8,11 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
+use crate::sweep::{Cell, Job, State, Sweep};
+use crate::train::human_duration;
+use crate::words::counted;
 use anyhow::Context as _;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
-use iwol_sumo::sweep::{Cell, Job, State, Sweep};
-use iwol_sumo::train::human_duration;
-use iwol_sumo::words::counted;
 
 use super::super::INTERRUPTED;
 use super::time_left;

@@ -13,6 +13,7 @@ use crate::env::error::Error;
 use crate::env::frame::Frame;
 use crate::env::picture::Picture;
 use crate::env::record::EpisodeRecord;
+use crate::env::spec::{OwnMetric, Values};
 
 /// Worlds of an environment of one's own, on all cores.
 pub(super) struct LockStep<E> {
@@ -49,7 +50,7 @@ impl<E: MultiAgentEnv> Worlds for LockStep<E> {
     }
 
     fn states(&self) -> Vec<WorldState> {
-        self.worlds.iter().map(|world| world.episode.state()).collect()
+        self.worlds.iter().map(World::state).collect()
     }
 
     fn picture(&self, e: usize) -> Option<Picture> {
@@ -64,6 +65,8 @@ pub(super) struct World<E> {
     training: bool,
     pub(super) episode: Episode,
     frame: Frame,
+    /// Who hears whom, `[N, N]`, as the environment has left it: with those who are not present.
+    heard: Vec<f32>,
     /// Sums of the agents' rewards in this episode, and their mean in each step.
     rewards: Vec<f64>,
     step_rewards: Vec<f32>,
@@ -80,6 +83,7 @@ impl<E: MultiAgentEnv> World<E> {
             env,
             training,
             episode,
+            heard: frame.comm.clone(),
             frame,
             rewards,
             step_rewards: Vec::new(),
@@ -123,7 +127,51 @@ impl<E: MultiAgentEnv> World<E> {
         self.episode.phase = Phase::Running;
         self.rewards.fill(0.0);
         self.step_rewards.clear();
-        self.check()
+        self.check()?;
+        let ends = self.frame.terminated.iter().zip(&self.frame.truncated);
+        if let Some(i) = ends.into_iter().position(|(end, cut)| end + cut > 0.0) {
+            return Err(self.wrong(i, "ends in `reset`; an episode has one step at least"));
+        }
+        self.leave_out_absent();
+        Ok(())
+    }
+
+    /// Leaves those who are not present out of what can be heard, and lets all others hear
+    /// themselves.
+    fn leave_out_absent(&mut self) {
+        let Frame { comm, active, truncated, .. } = &mut self.frame;
+        self.heard.copy_from_slice(comm);
+        let present = |i: usize| active[i] + truncated[i] > 0.0;
+        let n = active.len();
+        for (i, row) in comm.chunks_exact_mut(n).enumerate() {
+            for (j, hears) in row.iter_mut().enumerate() {
+                let there = present(i) && present(j);
+                *hears = f32::from(u8::from(there && (i == j || *hears > 0.0)));
+            }
+        }
+    }
+
+    /// Returns the state of the world, for a checkpoint.
+    fn state(&self) -> WorldState {
+        WorldState { observation: self.frame.observation.clone(), ..self.episode.state() }
+    }
+
+    /// Checks that a world that has repeated the actions of a state, `steps` of them, is in that
+    /// state.
+    pub(super) fn check_against(&self, state: &WorldState, steps: usize) -> Result<(), Error> {
+        let seen = &self.frame.observation;
+        // A processor of another kind may round differently.
+        let other = |(now, then): (&f32, &f32)| (now - then).abs() > 1e-3 * then.abs().max(1.0);
+        let changed = !state.observation.is_empty()
+            && (seen.len() != state.observation.len()
+                || seen.iter().zip(&state.observation).any(other));
+        if (self.episode.index, self.episode.step as usize) == (state.episode, steps) && !changed {
+            return Ok(());
+        }
+        Err(self.wrong_in_all(
+            "the environment does not come back to where it was: it has changed, or an episode does not depend on its \
+             seed and the actions alone",
+        ))
     }
 
     fn go_on(&mut self, actions: &[f32]) -> Result<(), Error> {
@@ -149,8 +197,13 @@ impl<E: MultiAgentEnv> World<E> {
         }
         self.frame.begin(false);
         self.frame.reward.fill(0.0);
+        self.frame.comm.copy_from_slice(&self.heard);
         self.env.step(&self.actions, &mut self.frame);
         self.check()?;
+        self.leave_out_absent();
+        for (reward, acted) in self.frame.reward.iter_mut().zip(&before) {
+            *reward *= acted;
+        }
         // An agent that acted and does not any more has come to an end, which somebody must name.
         for (i, acted) in before.iter().enumerate() {
             let frame = &self.frame;
@@ -190,11 +243,20 @@ impl<E: MultiAgentEnv> World<E> {
                 metrics.len()
             )));
         }
-        let numbers = values.iter().chain(std::iter::once(&success));
-        if numbers.into_iter().any(|value| !value.is_finite()) || !(0.0..=1.0).contains(&success) {
-            return Err(self.wrong_in_all(&format!(
-                "`success` is {success} and `metrics` are {values:?}; allowed: a share from 0 to 1, and finite numbers"
-            )));
+        if !(0.0..=1.0).contains(&success) {
+            let what = format!("`success` is {success}; allowed: a share from 0 to 1");
+            return Err(self.wrong_in_all(&what));
+        }
+        for (OwnMetric { name, values, .. }, value) in metrics.iter().zip(&values) {
+            let (fits, allowed) = match values {
+                Values::Any => (value.is_finite(), "a finite number"),
+                Values::Positive => (value.is_finite() && *value >= 0.0, "a number from 0 on"),
+                Values::Rate => ((0.0..=1.0).contains(value), "a share from 0 to 1"),
+            };
+            if !fits {
+                let what = format!("the metric `{name}` is {value}; allowed: {allowed}");
+                return Err(self.wrong_in_all(&what));
+            }
         }
         let own = metrics.iter().zip(values).map(|(metric, value)| (metric.name.to_owned(), value));
         self.finished = Some(EpisodeRecord {
@@ -213,8 +275,8 @@ impl<E: MultiAgentEnv> World<E> {
     }
 
     /// Checks that the frame has the sizes of the spec and contains numbers, since one that does
-    /// not would spoil all weights, that flags are 0 or 1, and that every agent that acts hears
-    /// itself, no more others than the spec says, and has a choice.
+    /// not would spoil all weights, that flags are 0 or 1, and that every agent hears no more
+    /// others than the spec says, and has a choice if it acts.
     fn check(&self) -> Result<(), Error> {
         let (frame, spec) = (&self.frame, self.env.spec());
         let n = spec.agents;
@@ -228,6 +290,7 @@ impl<E: MultiAgentEnv> World<E> {
             ("reward", &frame.reward, 1),
             ("terminated", &frame.terminated, 1),
             ("truncated", &frame.truncated, 1),
+            ("sharing", &frame.sharing, 0),
         ];
         for (what, values, width) in sizes {
             if values.len() != n * width {
@@ -237,16 +300,19 @@ impl<E: MultiAgentEnv> World<E> {
                 );
             }
         }
-        for (what, flags) in
-            [("comm", &frame.comm), ("available", &frame.available), ("active", &frame.active)]
-        {
+        let flags = [
+            ("comm", &frame.comm),
+            ("available", &frame.available),
+            ("active", &frame.active),
+            ("start", &frame.start),
+            ("terminated", &frame.terminated),
+            ("truncated", &frame.truncated),
+        ];
+        for (what, flags) in flags {
             if let Some(at) = flags.iter().position(|flag| *flag != 0.0 && *flag != 1.0) {
                 let text = format!("a number in `{what}` is {}, neither 0 nor 1", flags[at]);
                 return Err(self.wrong(at / (flags.len() / n), &text));
             }
-        }
-        if let Some(i) = (0..n).find(|&i| frame.active[i] > 0.0 && frame.comm[i * n + i] < 1.0) {
-            return Err(self.wrong(i, "it acts, and `comm` does not have 1 on its diagonal for it"));
         }
         if let Some(most) = spec.most_heard {
             let heard =

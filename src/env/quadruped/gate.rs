@@ -1,5 +1,5 @@
-//! The gate: two robots pass through a gate that is wide enough for one (`go1_gate_config.py`, with
-//! the reward of the paper's Go1Gate). A surrogate, see the module above.
+//! Surrogate of the gate task: two robots pass through a gate that is wide enough for one. Geometry
+//! from `go1_gate_config.py`, reward of the paper's Go1Gate; the module above says what differs.
 
 use super::{
     DECISION, ROBOTS, Robot, TICK, Track, UNIT, begin, commands, observed, privileged, tick,
@@ -55,8 +55,11 @@ impl GateSurrogate {
             state,
             most_heard: None,
             metrics: vec![
-                OwnMetric::rate("passed", Better::Higher),
-                OwnMetric::count("contacts", Better::Lower),
+                OwnMetric::rate("passed", Better::Higher)
+                    .meaning("Share of robots that are behind the gate at the end."),
+                OwnMetric::count("contacts", Better::Lower).meaning(
+                    "Robots that touch a wall or the other robot, added up over the decisions.",
+                ),
             ],
         };
         Self { spec, track: Track::default(), robots: Default::default(), step: 0, contacts: 0 }
@@ -159,6 +162,48 @@ impl MultiAgentEnv for GateSurrogate {
 mod tests {
     use super::super::BODY;
     use super::*;
+
+    fn begun() -> (GateSurrogate, Frame) {
+        let mut world = GateSurrogate::new();
+        let mut frame = Frame::new(world.spec(), false);
+        world.reset(Seed::new(1), &mut frame);
+        (world, frame)
+    }
+
+    /// The team earns 1 per metre towards the targets, 5 per decision for each robot that is 0.25 m
+    /// behind the gate, and loses 0.025 per robot, divided by the squared distance of two robots
+    /// that are nearer than 0.5 m.
+    #[test]
+    fn rewards_are_those_of_the_paper() {
+        let (mut world, mut frame) = begun();
+        world.step(&[0.0; 6], &mut frame);
+        assert_eq!(frame.reward, [0.0, 0.0], "two robots that stand");
+        let before: f64 = [0, 1].map(|robot| world.to_target(robot)).iter().sum();
+        world.step(&[1.0, 0.0, 0.0, 1.0, 0.0, 0.0], &mut frame);
+        let after: f64 = [0, 1].map(|robot| world.to_target(robot)).iter().sum();
+        assert!(before - after > 0.01);
+        assert!((f64::from(frame.reward[0]) - (before - after)).abs() < 1e-6);
+        assert_eq!(frame.reward[0], frame.reward[1]);
+
+        let (mut world, mut frame) = begun();
+        let gate = world.track.gate[0];
+        world.robots[0].pose.x = gate + 0.26;
+        world.robots[1].pose.x = gate + 0.8;
+        (world.robots[0].pose.y, world.robots[1].pose.y) = (0.5, -0.5);
+        world.step(&[0.0; 6], &mut frame);
+        assert_eq!((frame.reward[0], world.success()), (10.0, 1.0));
+        world.robots[0].pose.x = gate + 0.24;
+        world.step(&[0.0; 6], &mut frame);
+        assert_eq!((frame.reward[0], world.success()), (5.0, 0.0));
+
+        let (mut world, mut frame) = begun();
+        (world.robots[0].pose.y, world.robots[1].pose.y) = (0.22, -0.22);
+        (world.robots[0].pose.x, world.robots[1].pose.x) = (1.0, 1.0);
+        (world.robots[0].pose.heading, world.robots[1].pose.heading) = (0.0, 0.0);
+        world.step(&[0.0; 6], &mut frame);
+        let expected = -2.0 * 0.025 / (0.44 * 0.44);
+        assert!((f64::from(frame.reward[0]) - expected).abs() < 1e-6, "{:?}", frame.reward);
+    }
 
     /// A rule that lines up in front of the gate, one robot after the other, passes without a
     /// contact, so that the task can be solved.

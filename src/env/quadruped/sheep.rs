@@ -1,5 +1,6 @@
-//! The sheep: two robots drive nine sheep through a gate (`go1_sheep_config.py` and
-//! `npc/go1_sheep.py`, the paper's Go1Sheep-hard). A surrogate, see the module above.
+//! Surrogate of the sheep task: two robots drive nine sheep through a gate. Geometry and sheep from
+//! `go1_sheep_config.py` and `npc/go1_sheep.py`, the paper's Go1Sheep-hard; the module above says
+//! what differs.
 //!
 //! Sheep are discs. They wander, keep to their flock and flee from robots by the original's
 //! formulas. Friction, which the original's physics engine computes, is a decay of their speed here.
@@ -75,7 +76,10 @@ impl SheepSurrogate {
             observation,
             state,
             most_heard: None,
-            metrics: vec![OwnMetric::count("sheep_through", Better::Higher)],
+            metrics: vec![
+                OwnMetric::count("sheep_through", Better::Higher)
+                    .meaning("Sheep that are behind the gate at the end."),
+            ],
         };
         Self {
             spec,
@@ -270,6 +274,30 @@ mod tests {
         assert_eq!(fear([3.1, 0.0]), [0.0, 0.0]);
     }
 
+    /// Each sheep earns e^(-d/2) of its distance d to the gate before it, and 2 behind it.
+    #[test]
+    fn rewards_are_those_of_the_paper() {
+        let mut world = SheepSurrogate::new();
+        let mut frame = Frame::new(world.spec(), false);
+        world.reset(Seed::new(2), &mut frame);
+        world.robots[0].pose.x = 0.5;
+        for (k, sheep) in world.sheep.iter_mut().enumerate() {
+            // Four sheep are far behind the gate, and stay there for a decision.
+            let x = if k < 4 { GATE + 2.0 + k as f64 } else { 4.0 + 0.5 * k as f64 };
+            *sheep = Sheep { place: [x, 0.5 * k as f64 - 2.0], velocity: [0.0; 2] };
+        }
+        world.step(&[0.0; 6], &mut frame);
+        let gate = world.track.gate;
+        let before = world.sheep.iter().filter(|sheep| sheep.place[0] < gate[0]);
+        let before: f64 = before
+            .map(|sheep| (-(sheep.place[0] - gate[0]).hypot(sheep.place[1] - gate[1]) / 2.0).exp())
+            .sum();
+        assert_eq!(world.through(), 4);
+        assert!((f64::from(frame.reward[0]) - (8.0 + before)).abs() < 1e-5);
+        assert_eq!(frame.reward[0], frame.reward[1]);
+        assert!((world.success() - 4.0 / 9.0).abs() < 1e-12);
+    }
+
     /// Sheep stay on the track and go through the wall by the gate alone, also where robots press
     /// them against the wall.
     #[test]
@@ -307,5 +335,11 @@ mod tests {
             }
         }
         assert!(through > 10, "{through} sheep went through the gate");
+        // Without robots near them, they stay where they are.
+        world.reset(Seed::new(0), &mut frame);
+        for _ in 0..STEPS {
+            world.step(&[0.0; 6], &mut frame);
+        }
+        assert!(world.through() < 2, "{} sheep went by themselves", world.through());
     }
 }

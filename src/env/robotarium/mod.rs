@@ -2,8 +2,9 @@
 //! remotely accessible swarm robotics research testbed"; `robotarium_python_simulator` before its
 //! version of 2024, and the tasks of MARBLER, GT-STAR-Lab/MARBLER).
 //!
-//! Robots choose among four moves and staying. A controller drives the point in front of each robot
-//! towards the place of its choice, with a barrier certificate that keeps robots apart. Robots do
+//! Robots choose among four moves and staying. A controller drives the point 0.05 m in front of each
+//! robot towards the place of its choice, with a barrier certificate that keeps robots apart. A move
+//! begins at the robot's centre, so that a robot which stays moves back by these 0.05 m. Robots do
 //! not see each other; every robot can hear every other one. An episode ends with the first
 //! violation: two robots collide, or one leaves the arena.
 
@@ -25,6 +26,9 @@ use crate::rng::{self, Rng};
 
 /// Number of robots.
 const ROBOTS: usize = 4;
+
+/// What the metric `safe_robots` means.
+const SAFE: &str = "Share of robots that have neither collided nor left the arena.";
 
 /// Returns what a robot can choose.
 fn moves() -> ActionSpace {

@@ -7,7 +7,7 @@
 use nalgebra::Vector2;
 
 use super::arena::{Robot, drive};
-use super::{Grid, ROBOTS, backdrop, begin, figure, finish, moves, target};
+use super::{Grid, ROBOTS, SAFE, backdrop, begin, figure, finish, moves, target};
 use crate::env::frame::Frame;
 use crate::env::multi_agent::{MultiAgentEnv, Simple};
 use crate::env::picture::{Figure, FigureStatus, Picture};
@@ -66,8 +66,9 @@ impl Navigation {
             state,
             most_heard: None,
             metrics: vec![
-                OwnMetric::rate("safe_robots", Better::Higher),
-                OwnMetric::count("distance", Better::Lower),
+                OwnMetric::rate("safe_robots", Better::Higher).meaning(SAFE),
+                OwnMetric::count("distance", Better::Lower)
+                    .meaning("Mean distance of the robots from the goal at the end (m)."),
             ],
         };
         Self {
@@ -142,6 +143,7 @@ impl MultiAgentEnv for Navigation {
         finish(frame, self.violations.contains(&true), self.step == STEPS);
     }
 
+    /// Returns the share of robots that end near the goal; 0 after a violation.
     fn success(&self) -> f64 {
         if self.violations.contains(&true) {
             return 0.0;
@@ -169,5 +171,92 @@ impl MultiAgentEnv for Navigation {
             others: vec![goal],
             ..Picture::default()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn begun() -> (Navigation, Frame) {
+        let mut world = Navigation::new();
+        let mut frame = Frame::new(world.spec(), false);
+        world.reset(Seed::new(1), &mut frame);
+        (world, frame)
+    }
+
+    /// Robots start at the left and have one goal at the right; each observes itself and the goal.
+    #[test]
+    fn robots_start_at_the_left_and_have_one_goal() {
+        for seed in 0..50 {
+            let (mut world, mut frame) = begun();
+            world.reset(Seed::new(seed), &mut frame);
+            assert!(world.goal.x >= 0.5 && world.goal.x <= 1.1 + 1e-9, "{}", world.goal);
+            for (i, robot) in world.robots.iter().enumerate() {
+                assert!(robot.centre.x < -0.5 && robot.centre.y.abs() <= 0.9 + 1e-9, "{robot:?}");
+                let seen = [robot.centre.x, robot.centre.y, world.goal.x, world.goal.y];
+                assert_eq!(frame.observation_of(i), seen.map(|metres| metres as f32));
+            }
+        }
+    }
+
+    /// The reward is 0.7 of a robot's own -0.1 d², and 0.3 of the mean of the three others.
+    #[test]
+    fn rewards_are_those_of_the_reference() {
+        let (mut world, mut frame) = begun();
+        world.robots = [[0.0, 0.0], [0.0, 0.5], [0.0, -0.5], [-1.0, 0.0]]
+            .map(|place| Robot::at(place.into()))
+            .to_vec();
+        world.goal = Vector2::new(1.0, 0.0);
+        // Everybody stays, so that only the point ahead of a robot's centre goes to its place.
+        world.step(&[4.0; 4], &mut frame);
+        let own: Vec<f64> = (0..4).map(|i| -0.1 * world.distance(i).powi(2)).collect();
+        assert!((own[0] + 0.1).abs() < 0.02 && (own[3] + 0.4).abs() < 0.03, "{own:?}");
+        for i in 0..4 {
+            let others = (own.iter().sum::<f64>() - own[i]) / 3.0;
+            let expected = 0.7 * own[i] + 0.3 * others;
+            assert!((f64::from(frame.reward[i]) - expected).abs() < 1e-5, "{:?}", frame.reward);
+        }
+        assert!(frame.active.iter().all(|active| *active == 1.0));
+    }
+
+    /// A violation costs the robot 5 instead of its distance, and ends the episode of all robots
+    /// without success.
+    #[test]
+    fn a_violation_ends_the_episode() {
+        let (mut world, mut frame) = begun();
+        world.robots = [[0.0, 0.0], [0.1, 0.0], [0.0, -0.5], [-1.0, 0.0]]
+            .map(|place| Robot::at(place.into()))
+            .to_vec();
+        world.goal = Vector2::new(1.0, 0.0);
+        world.step(&[4.0; 4], &mut frame);
+        assert_eq!(world.violations, [true, true, false, false]);
+        let own: Vec<f64> = (2..4).map(|i| -0.1 * world.distance(i).powi(2)).collect();
+        let expected = 0.7 * -5.0 + 0.1 * (-5.0 + own[0] + own[1]);
+        assert!((f64::from(frame.reward[0]) - expected).abs() < 1e-5, "{:?}", frame.reward);
+        assert_eq!((&frame.terminated[..], world.success()), (&[1.0; 4][..], 0.0));
+        assert_eq!(world.metrics()[0], 0.5);
+    }
+
+    /// An episode has 50 decisions, and its success is the share of robots that end within 0.3 m of
+    /// the goal. A robot that stays moves back by the 0.05 m that its controlled point is ahead.
+    #[test]
+    fn success_is_to_end_near_the_goal() {
+        let (mut world, mut frame) = begun();
+        for step in 1..50 {
+            // Robots go up and down by turns.
+            world.step(&[2.0 + (step % 2) as f32; 4], &mut frame);
+            assert_eq!(frame.truncated, [0.0; 4], "{step}");
+        }
+        world.robots = [[1.0, 0.25], [1.0, -0.2], [0.5, 0.5], [-1.0, 0.0]]
+            .map(|place| Robot::at(place.into()))
+            .to_vec();
+        world.goal = Vector2::new(1.0, 0.0);
+        world.step(&[4.0; 4], &mut frame);
+        assert_eq!(frame.truncated, [1.0; 4]);
+        assert_eq!(world.success(), 0.5);
+        let back: Vec<f64> = world.robots.iter().map(|robot| robot.centre.x).collect();
+        let expected = [0.95, 0.95, 0.45, -1.05];
+        assert!(back.iter().zip(expected).all(|(x, e)| (x - e).abs() < 0.02), "{back:?}");
     }
 }

@@ -11,7 +11,7 @@
 //! (references: 71); the first observation is that of the start (references: zeros).
 
 use super::arena::{Robot, drive};
-use super::{Grid, HALF, ROBOTS, Zone, backdrop, begin, figure, finish, moves, target};
+use super::{Grid, HALF, ROBOTS, SAFE, Zone, backdrop, begin, figure, finish, moves, target};
 use crate::env::frame::Frame;
 use crate::env::multi_agent::{MultiAgentEnv, Simple};
 use crate::env::picture::Picture;
@@ -101,8 +101,9 @@ impl Transport {
             state,
             most_heard: None,
             metrics: vec![
-                OwnMetric::rate("safe_robots", Better::Higher),
-                OwnMetric::count("left_materials", Better::Lower),
+                OwnMetric::rate("safe_robots", Better::Higher).meaning(SAFE),
+                OwnMetric::count("left_materials", Better::Lower)
+                    .meaning("Units of material that were not unloaded."),
             ],
         };
         Self {
@@ -237,5 +238,79 @@ impl MultiAgentEnv for Transport {
             agents: robots.map(|(robot, failed)| figure(robot, *failed)).collect(),
             ..Picture::default()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Vector2;
+
+    use super::*;
+
+    /// Returns a world with 100 and 20 units, and robots at these places: two fast ones, two slow
+    /// ones.
+    fn world(places: [[f64; 2]; ROBOTS]) -> Transport {
+        let mut world = Transport::new();
+        let mut frame = Frame::new(world.spec(), false);
+        world.reset(Seed::new(1), &mut frame);
+        world.robots = places.map(|place| Robot::at(Vector2::from(place))).to_vec();
+        (world.initial, world.zones) = ([100, 20], [100, 20]);
+        world
+    }
+
+    /// Fast robots carry 5 units and slow ones 15; loading earns 0.025 per unit in the zone in the
+    /// middle and 0.05 in that at the right, and unloading at the left 0.075.
+    #[test]
+    fn robots_load_and_unload() {
+        let mut one = world([[0.0, 0.3], [1.2, 0.5], [0.0, -0.3], [1.2, -0.5]]);
+        assert!((one.handle() - (20.0 * 0.025 + 20.0 * 0.05)).abs() < 1e-6);
+        assert_eq!((one.loads, one.zones, one.left()), ([5, 5, 15, 15], [80, 0], 120));
+        // Who is loaded loads no more.
+        assert_eq!((one.handle(), one.loads, one.zones), (0.0, [5, 5, 15, 15], [80, 0]));
+        let home = [[-1.2, 0.6], [-1.2, 0.2], [-1.2, -0.2], [-1.2, -0.6]];
+        one.robots = home.map(|place| Robot::at(Vector2::from(place))).to_vec();
+        assert!((one.handle() - 40.0 * 0.075).abs() < 1e-6);
+        assert_eq!((one.loads, one.left()), ([0; 4], 80));
+        assert!((one.success() - 40.0 / 120.0).abs() < 1e-9);
+        // An empty zone gives nothing.
+        one.robots[1] = Robot::at(Vector2::new(1.2, 0.0));
+        assert_eq!((one.handle(), one.loads), (0.0, [0; 4]));
+    }
+
+    /// The reward is the team's: that of loading, and -0.1 for each decision.
+    #[test]
+    fn each_decision_costs_time() {
+        let mut one = world([[0.0, 0.2], [0.6, 0.5], [0.6, -0.5], [-0.6, 0.0]]);
+        let mut frame = Frame::new(one.spec(), false);
+        begin(&mut frame);
+        one.step(&[4.0; 4], &mut frame);
+        assert_eq!(one.loads, [5, 0, 0, 0]);
+        assert!(frame.reward.iter().all(|r| (r - (5.0 * 0.025 - 0.1)).abs() < 1e-6));
+        one.step(&[4.0; 4], &mut frame);
+        assert!(frame.reward.iter().all(|r| (r + 0.1).abs() < 1e-6), "{:?}", frame.reward);
+    }
+
+    /// The episode ends when everything has been unloaded, after 70 decisions, or with a violation,
+    /// which costs 10.
+    #[test]
+    fn episodes_end() {
+        let far = [[-1.2, 0.6], [0.6, 0.5], [0.6, -0.5], [0.6, 0.0]];
+        let mut one = world(far);
+        let mut frame = Frame::new(one.spec(), false);
+        (one.zones, one.loads) = ([0, 0], [5, 0, 0, 0]);
+        one.step(&[4.0; 4], &mut frame);
+        assert_eq!((&frame.terminated[..], one.success()), (&[1.0; 4][..], 1.0));
+
+        let mut one = world(far);
+        let mut frame = Frame::new(one.spec(), false);
+        for step in 1..=70 {
+            frame.truncated.fill(0.0);
+            one.step(&[4.0; 4], &mut frame);
+            assert_eq!(frame.truncated, [f32::from(u8::from(step == 70)); 4], "{step}");
+        }
+
+        let mut one = world([[-1.2, 0.6], [-1.1, 0.6], [0.6, -0.5], [0.6, 0.0]]);
+        one.step(&[4.0; 4], &mut frame);
+        assert_eq!((frame.reward[2], frame.terminated[2], one.success()), (-10.0, 1.0, 0.0));
     }
 }
