@@ -22,8 +22,8 @@ pub(crate) struct Square {
     spec: EnvSpec,
     /// Place and goal of each robot, in 0..1.
     robots: [[f32; 4]; ROBOTS],
+    arrived: [bool; ROBOTS],
     step: u32,
-    arrived: usize,
 }
 
 impl Square {
@@ -36,11 +36,12 @@ impl Square {
             observation: Features::of("goal", &["dx", "dy"].map(number)),
             state: Features::of("goal", &["dx", "dy"].map(number)),
             metrics: vec![
-                OwnMetric::count("steps", Better::Lower).meaning("Steps of the episode."),
+                OwnMetric::count("distance_left", Better::Lower)
+                    .meaning("Mean distance of the robots from their places at the end."),
             ],
             ..EnvSpec::default()
         };
-        Self { spec, robots: [[0.0; 4]; ROBOTS], step: 0, arrived: 0 }
+        Self { spec, robots: [[0.0; 4]; ROBOTS], arrived: [false; ROBOTS], step: 0 }
     }
 
     fn observe(&self, frame: &mut Frame) {
@@ -58,7 +59,7 @@ impl MultiAgentEnv for Square {
 
     fn reset(&mut self, seed: Seed, frame: &mut Frame) {
         rng::fill_uniform(&mut seed.rng(), self.robots.as_flattened_mut());
-        (self.step, self.arrived) = (0, 0);
+        (self.step, self.arrived) = (0, [false; ROBOTS]);
         frame.active.fill(1.0);
         frame.comm.fill(1.0); // everyone hears everyone
         self.observe(frame);
@@ -76,7 +77,7 @@ impl MultiAgentEnv for Square {
             frame.reward[i] = before - apart(robot);
             if apart(robot) < 0.1 {
                 frame.reward[i] += 1.0;
-                self.arrived += 1;
+                self.arrived[i] = true;
                 frame.end(i);
             } else if self.step == STEPS {
                 frame.truncate(i);
@@ -86,22 +87,24 @@ impl MultiAgentEnv for Square {
     }
 
     fn success(&self) -> f64 {
-        self.arrived as f64 / ROBOTS as f64
+        self.arrived.iter().filter(|arrived| **arrived).count() as f64 / ROBOTS as f64
     }
 
     fn metrics(&self) -> Vec<f64> {
-        vec![f64::from(self.step)]
+        let apart = self.robots.map(|[x, y, goal_x, goal_y]| (goal_x - x).hypot(goal_y - y));
+        vec![f64::from(apart.iter().sum::<f32>()) / ROBOTS as f64]
     }
 
     fn picture(&self) -> Option<Picture> {
-        let body = |[x, y, goal_x, goal_y]: [f32; 4]| Figure {
-            centre: [f64::from(x), f64::from(y)],
+        let body = |([x, y, goal_x, goal_y], arrived): (&[f32; 4], &bool)| Figure {
+            centre: [f64::from(*x), f64::from(*y)],
             heading: f64::from((goal_y - y).atan2(goal_x - x)),
             size: [0.06, 0.04],
-            status: FigureStatus::Active,
+            status: if *arrived { FigureStatus::Arrived } else { FigureStatus::Active },
             ..Figure::default()
         };
-        Some(Picture { agents: self.robots.map(body).to_vec(), ..Picture::default() })
+        let agents = self.robots.iter().zip(&self.arrived).map(body).collect();
+        Some(Picture { agents, ..Picture::default() })
     }
 }
 

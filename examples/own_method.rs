@@ -18,7 +18,7 @@ use iwol_sumo::algo::method::{
 use iwol_sumo::algo::{self, ActMode, Decision, Observation, Settings};
 use iwol_sumo::env::EnvSpec;
 use iwol_sumo::nn::ValueNorm;
-use tch::Tensor;
+use iwol_sumo::tch::Tensor;
 
 /// The networks of IPPO.
 pub(crate) struct Ippo {

@@ -120,7 +120,7 @@ mod trainer {
         Trainer::resume(config, Box::new(traffic), checkpoint)
     }
 
-    /// Starts a run, or continues it from a checkpoint, on a scenario or in a built-in
+    /// Starts a run, or continues it from a checkpoint, on a scenario or in a named
     /// environment, together with the other processes of a team.
     ///
     /// # Errors

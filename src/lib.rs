@@ -57,6 +57,10 @@ pub mod sweep;
 pub mod train;
 pub mod words;
 
+/// The tensors of the methods, in the version of this crate.
+#[cfg(feature = "learn")]
+pub use tch;
+
 /// Runs the examples of the documentation as doctests.
 #[cfg(doctest)]
 #[doc = include_str!("../docs/guide/traci_client.md")]

@@ -48,7 +48,7 @@ pub fn all() -> impl Iterator<Item = &'static Metric> {
         .chain(BackgroundSummary::REGISTERED)
 }
 
-/// Returns the metric with this key, of all metrics and of those that the built-in environments
+/// Returns the metric with this key, of all metrics and of those that named environments
 /// define by themselves.
 pub fn named(id: &str) -> Option<&'static Metric> {
     all().chain(of_environments()).find(|metric| metric.id == id)
@@ -421,12 +421,8 @@ pub fn reference() -> String {
          shown everywhere; reports show the metrics of reports if results contain them.\n\n\
          | metric | key | better | shown | meaning |\n|---|---|---|---|---|\n",
     );
-    for metric in all().chain(of_environments()) {
-        let better = match metric.better {
-            Better::Higher => "higher",
-            Better::Lower => "lower",
-            Better::Neither => "–",
-        };
+    for metric in all() {
+        let better = better(metric.better);
         let shown = match metric.shown {
             Shown::Everywhere => "everywhere",
             Shown::InFigures => "tables and figures of reports",
@@ -437,7 +433,16 @@ pub fn reference() -> String {
         let meaning = metric.explanation;
         let _ = writeln!(text, "| {heading} | `{id}` | {better} | {shown} | {meaning} |");
     }
-    text
+    text + &own::reference()
+}
+
+/// Returns how the reference says which values are better.
+fn better(better: Better) -> &'static str {
+    match better {
+        Better::Higher => "higher",
+        Better::Lower => "lower",
+        Better::Neither => "–",
+    }
 }
 
 #[cfg(test)]

@@ -4,11 +4,12 @@
 
 use std::path::PathBuf;
 
+use anyhow::Context as _;
+use toml::Value;
+
 use crate::algo;
 use crate::config::{Config, Document, Layers, PRESETS};
 use crate::env::NamedEnvironment;
-use anyhow::Context as _;
-use toml::Value;
 
 use super::Verdict;
 
@@ -34,7 +35,7 @@ pub(super) struct SettingsArgs {
     scenario: Option<PathBuf>,
     #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {}", NamedEnvironment::names().join(", ")))]
     environment: Option<String>,
-    #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::NAMES.join(", ")))]
+    #[arg(long, value_name = "NAME", help = format!("Learning algorithm: {}", algo::names().join(", ")))]
     algorithm: Option<String>,
     /// Number of vehicles at spawn places, which are all agents unless
     /// scenario.traffic.penetration is below 1; where agents come from route files, the most agents

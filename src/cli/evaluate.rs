@@ -11,6 +11,9 @@ mod table;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 
+use anyhow::{Context as _, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+
 use crate::driving::{POLICIES, Policy};
 use crate::env::NamedEnvironment;
 use crate::evaluate::{Controller, EvaluationObserver};
@@ -19,8 +22,6 @@ use crate::provenance::Program;
 use crate::record;
 use crate::replay::{Recorder, Title};
 use crate::rng::Seed;
-use anyhow::{Context as _, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 
 use self::setup::Setup;
 use super::Verdict;

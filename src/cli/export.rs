@@ -4,6 +4,9 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context as _, bail};
+use serde_json::json;
+
 use crate::algo::onnx;
 use crate::checkpoint::Checkpoint;
 use crate::config::{Document, Layers, TaskSource};
@@ -13,8 +16,6 @@ use crate::provenance::Program;
 use crate::record;
 use crate::scenario::Scenario;
 use crate::train::RunDir;
-use anyhow::{Context as _, bail};
-use serde_json::json;
 
 use super::Verdict;
 

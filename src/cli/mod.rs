@@ -40,11 +40,12 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use crate::{env, scenario as scenarios, sumo};
 #[cfg(not(feature = "learn"))]
 #[allow(clippy::wildcard_imports, reason = "in place of the modules that are left out")]
 use absent::*;
 use clap::{Parser, Subcommand};
+
+use crate::{env, scenario as scenarios, sumo};
 
 /// Multi-vehicle coordination in SUMO: train, evaluate and plot.
 #[derive(Debug, Parser)]
@@ -101,7 +102,8 @@ const INTERRUPTED: u8 = 130;
 
 /// Runs the command line of the program `iwol` with the arguments of this process, and returns its
 /// exit code. An application that registers its own environments ([`crate::env::register`]) and
-/// methods (`algo::register`) and then calls this function has all verbs for them.
+/// methods (`algo::register`) and then calls this function has the verbs for them, but for `bench`,
+/// which is for scenarios, and for ONNX and PyTorch models of registered methods.
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
     let level = match cli.verbose {
@@ -109,16 +111,16 @@ pub fn main() -> ExitCode {
         1 => tracing::Level::INFO,
         _ => tracing::Level::DEBUG,
     };
-    let log = tracing_subscriber::fmt()
+    // An application may have its own way of logging, which stays.
+    tracing_subscriber::fmt()
         .with_max_level(level)
         .with_writer(std::io::stderr)
         .with_ansi(std::io::stderr().is_terminal())
         .with_target(false)
         .without_time()
         .log_internal_errors(false)
-        .finish();
-    // An application may have its own way of logging.
-    let _ = tracing::subscriber::set_global_default(log);
+        .try_init()
+        .ok();
     if let Some(parent) = cli.die_with_parent {
         // Only Linux supports this; on other systems the children of a killed sweep run to their
         // end.
@@ -241,6 +243,12 @@ fn hangup_is_ignored() -> bool {
 fn ignore_hangup() {
     // SAFETY: ignoring a signal needs no handler.
     unsafe { libc::signal(libc::SIGHUP, libc::SIG_IGN) };
+}
+
+/// Returns the name of this program, for commands that users are told to run.
+fn program() -> String {
+    let path = std::env::args_os().next().map(std::path::PathBuf::from).unwrap_or_default();
+    path.file_name().map_or_else(|| "iwol".to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
 /// Whether this process prints nothing, because another one of the same training does.

@@ -4,12 +4,13 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::{Context as _, bail};
+
 use crate::config;
 use crate::curves::{self, Along, Curve, Line, curve, mean_curve};
 use crate::metrics::{self, EvaluationResult, SUCCESS, Shown};
 use crate::plot::{Format, Panel, Series, figure};
 use crate::train::RunDir;
-use anyhow::{Context as _, bail};
 
 use super::Verdict;
 
@@ -191,8 +192,8 @@ fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
         .with_context(|| format!("cannot read `{}`", path.display()))?;
     let results = EvaluationResult::read_all(&text)
         .with_context(|| format!("`{}` is no output of `iwol evaluate --json`", path.display()))?;
-    let trained =
-        |policy: &String| policy.is_empty() || crate::algo::NAMES.contains(&policy.as_str());
+    let methods = crate::algo::names();
+    let trained = |policy: &String| policy.is_empty() || methods.contains(&policy.as_str());
     Ok(results
         .into_iter()
         .filter(|result| !trained(&result.policy))

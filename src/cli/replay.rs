@@ -2,9 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
+use anyhow::bail;
+
 use crate::record::write_atomic;
 use crate::replay::Recording;
-use anyhow::bail;
 
 use super::Verdict;
 

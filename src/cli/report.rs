@@ -4,12 +4,13 @@
 
 use std::path::PathBuf;
 
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+
 use crate::plot::Format;
 use crate::report;
 use crate::sweep::Sweep;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
 
-use super::Verdict;
+use super::{Verdict, program};
 
 /// Writes the results of a sweep as tables and figures in Markdown, HTML and JSON, from the files
 /// of its runs. The sweep may still be running.
@@ -40,7 +41,7 @@ fn format() -> impl TypedValueParser<Value = Format> {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.runs)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("results").join(&sweep.name));
-    let command = format!("iwol sweep {0}\niwol report {0}", args.file.display());
+    let command = format!("{0} sweep {1}\n{0} report {1}", program(), args.file.display());
     for path in report::write(&sweep, &command, &out, args.figures)? {
         tell!("{}", path.display());
     }

@@ -8,6 +8,9 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
+use anyhow::{Context as _, bail};
+use indicatif::{ProgressBar, ProgressStyle};
+
 use crate::checkpoint::Checkpoint;
 use crate::config::{self, Config, Document, Resolution, TaskSource};
 use crate::driving;
@@ -15,11 +18,9 @@ use crate::ranks::{self, Ranks, Team};
 use crate::sumo::Choice;
 use crate::train::{Report, RunDir, TrainingEnd, human_duration};
 use crate::words::counted;
-use anyhow::{Context as _, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 
-use super::Verdict;
 use super::config::SettingsArgs;
+use super::{Verdict, program};
 
 /// Settings in rising priority: defaults, `--preset`, `--config`, `--set`, other flags. The resolved
 /// settings are stored in the run folder; `iwol config` prints them without training.
@@ -244,7 +245,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     bar.finish_and_clear();
     let outcome = outcome.with_context(|| {
         let kept = if dir.last().exists() {
-            format!("; continue with: iwol train --resume --out {}", dir.path().display())
+            format!("; continue with: {} train --resume --out {}", program(), dir.path().display())
         } else {
             String::new()
         };
@@ -269,7 +270,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     if outcome == TrainingEnd::Interrupted {
-        say!("continue with: iwol train --resume --out {}", dir.path().display());
+        say!("continue with: {} train --resume --out {}", program(), dir.path().display());
     }
     tell!("{}", dir.path().display());
     Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })

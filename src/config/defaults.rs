@@ -20,7 +20,7 @@ pub(super) enum Setting<'a> {
     Scenario(&'a ScenarioFile),
     /// In an environment that has no scenario.
     Environment {
-        /// Name, if it is built in.
+        /// Name of the environment.
         name: &'a str,
         spec: &'a EnvSpec,
     },

@@ -46,7 +46,7 @@ pub enum Error {
     },
     /// No source names a scenario.
     #[error(
-        "no scenario given; name one with --scenario, or a built-in environment with --environment, e.g. --scenario scenarios/intersection.xml"
+        "no scenario given; name one with --scenario, or an environment without SUMO with --environment, e.g. --scenario scenarios/intersection.xml"
     )]
     NoScenario,
     /// The settings are those of an environment without a scenario.

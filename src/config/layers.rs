@@ -79,7 +79,7 @@ impl Config {
     /// Resolves the layers and returns the configuration, and the scenario with the values in it.
     ///
     /// # Errors
-    /// As [`Layers::resolve`], and [`Error::NoScenario`] for an environment without one.
+    /// As [`Layers::resolve`], and [`Error::WithoutScenario`] for an environment.
     pub fn resolve(layers: &Layers) -> Result<(Self, Scenario), Error> {
         let Resolution { config, place, .. } = layers.resolve()?;
         match place {
@@ -131,13 +131,14 @@ impl Layers {
             let similar = similar.map(|s| format!("; did you mean `{s}`?")).unwrap_or_default();
             let known = names.join(", ");
             return Err(refused(format!(
-                "there is no environment `{name}` (available: {known}){similar}"
+                "there is no environment `{name}` (available: {known}; one that an application registers is known to \
+                 the application's own program){similar}"
             )));
         };
         match self.word(parsed, "scenario.file") {
             None => Ok(Some(named)),
             Some(file) => Err(refused(format!(
-                "`{file}` is a scenario ({}); a run is in a scenario or in an environment",
+                "`{file}` is a scenario ({}); give either a scenario or an environment",
                 self.place_of("scenario.file")
             ))),
         }
@@ -158,19 +159,13 @@ impl Layers {
     /// Refuses options of the command line whose settings have no effect in an environment without
     /// SUMO. Files may have such settings, because they may serve scenarios as well.
     fn check_effects(&self, spec: &EnvSpec) -> Result<(), Error> {
-        const OF_NOISE: [&str; 4] = [
-            "exploration.mode",
-            "exploration.log_std_start",
-            "exploration.log_std_end",
-            "exploration.correlation",
-        ];
         let sets = self.sets.iter().filter_map(|set| Some(set.split_once('=')?.0.trim()));
         for key in sets.chain(self.flags.iter().map(|(key, _)| *key)).map(full_name) {
             let message = match () {
                 () if key.starts_with("simulation.") || key.starts_with("scenario.") => {
                     "has no effect: the environment is without SUMO"
                 }
-                () if spec.actions.choices().is_some() && OF_NOISE.contains(&&*key) => {
+                () if spec.actions.choices().is_some() && key == "exploration.correlation" => {
                     "has no effect: actions are discrete, and without noise"
                 }
                 () => continue,
@@ -190,7 +185,8 @@ impl Layers {
         let parsed = self.parsed()?;
         let other = self.word(parsed.get_ref(), "environment");
         if let Some(other) = other.filter(|name| name != environment.name()) {
-            let message = format!("`{other}` is another one than `{}`", environment.name());
+            let message =
+                format!("the settings are for `{other}`, not for `{}`", environment.name());
             let (place, key) = (self.place_of("environment"), "environment".to_owned());
             return Err(Error::Value { place, key, message });
         }

@@ -13,7 +13,7 @@ use super::spec::EnvSpec;
 use crate::rng::Seed;
 
 /// One world of an environment of your own. Implement it, and give a function that makes such
-/// worlds to [`Simple`]: all methods can then be trained in it.
+/// worlds to [`Simple`]: the methods that support its actions can then be trained in it.
 ///
 /// The number N of agent slots is fixed; the frame says which of them act. All arrays of the frame
 /// have the sizes of [`MultiAgentEnv::spec`] and are reused from step to step.

@@ -1,6 +1,7 @@
 //! Metrics that environments define by themselves.
 
 use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::sync::Mutex;
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,7 @@ use crate::stats::Estimate;
 
 /// A metric of an environment: mean with its 95 % interval over episodes, and which values are
 /// better.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OwnEstimate {
     /// Mean and interval.
     #[serde(flatten)]
@@ -23,6 +24,9 @@ pub struct OwnEstimate {
     /// Which values are possible.
     #[serde(default)]
     pub values: Values,
+    /// What the metric means; empty where the environment does not say it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub meaning: String,
 }
 
 /// Summarises the metrics of an environment over episodes, by name.
@@ -33,12 +37,15 @@ pub(super) fn summary(
     let summary = |metric: &OwnMetric| {
         let values: Vec<f64> =
             records.iter().filter_map(|record| record.own.get(metric.name)).copied().collect();
-        let OwnMetric { name, better, values: possible, .. } = *metric;
+        let OwnMetric { name, better, values: possible, meaning } = *metric;
         let estimate = match possible {
             Values::Rate => Estimate::rate(&values)?,
             Values::Any | Values::Positive => scale(possible).possible(Estimate::t(&values)?),
         };
-        Some((name.to_owned(), OwnEstimate { estimate, better, values: possible }))
+        Some((
+            name.to_owned(),
+            OwnEstimate { estimate, better, values: possible, meaning: meaning.to_owned() },
+        ))
     };
     metrics.iter().filter_map(summary).collect()
 }
@@ -46,7 +53,10 @@ pub(super) fn summary(
 /// Returns the metrics that environments define by themselves, of all these results.
 pub fn own<'a>(results: impl Iterator<Item = &'a Metrics>) -> Vec<&'static Metric> {
     let all: BTreeMap<&String, &OwnEstimate> = results.flat_map(|metrics| &metrics.own).collect();
-    all.into_iter().map(|(name, own)| registered(name, own.better, own.values)).collect()
+    let entry = |(name, own): (&String, &OwnEstimate)| {
+        registered(name, own.better, own.values, &own.meaning)
+    };
+    all.into_iter().map(entry).collect()
 }
 
 /// Returns the metrics that environments with a name define by themselves.
@@ -55,7 +65,26 @@ pub fn of_environments() -> impl Iterator<Item = &'static Metric> {
         .into_iter()
         .flat_map(|one| one.environment().spec().metrics.clone());
     let named: BTreeMap<&str, OwnMetric> = metrics.map(|metric| (metric.name, metric)).collect();
-    named.into_values().map(|metric| registered(metric.name, metric.better, metric.values))
+    named
+        .into_values()
+        .map(|metric| registered(metric.name, metric.better, metric.values, metric.meaning))
+}
+
+/// Returns the part of the reference about the built-in environments.
+pub(super) fn reference() -> String {
+    let mut text = String::from(
+        "\n## Of built-in environments\n\nIn the JSON output they are under `own`; they are in the tables and figures of reports.\n\n\
+         | environment | metric | key | better | meaning |\n|---|---|---|---|---|\n",
+    );
+    for named in NamedEnvironment::BUILT_IN.into_iter().filter_map(NamedEnvironment::find) {
+        for OwnMetric { name, better, values, meaning } in &named.environment().spec().metrics {
+            let heading = registered(name, *better, *values, meaning).heading();
+            let (environment, better) = (named.name, super::better(*better));
+            let row = format!("| `{environment}` | {heading} | `{name}` | {better} | {meaning} |");
+            let _ = writeln!(text, "{row}");
+        }
+    }
+    text
 }
 
 /// Returns how the values of a metric are shown.
@@ -67,23 +96,18 @@ fn scale(values: Values) -> Scale {
     }
 }
 
-/// Returns what a metric means, if an environment with a name says so.
-fn meaning(name: &str) -> &'static str {
-    let metrics = NamedEnvironment::all()
-        .into_iter()
-        .flat_map(|one| one.environment().spec().metrics.clone());
-    let known = metrics.filter(|metric| metric.name == name).map(|metric| metric.meaning);
-    known
-        .into_iter()
-        .find(|meaning| !meaning.is_empty())
-        .unwrap_or("A metric that the environment defines by itself.")
-}
-
 /// Returns the entry of a metric, which lives as long as the program.
-fn registered(name: &str, better: Better, values: Values) -> &'static Metric {
+fn registered(name: &str, better: Better, values: Values, meaning: &str) -> &'static Metric {
     static KNOWN: Mutex<Vec<&'static Metric>> = Mutex::new(Vec::new());
     let mut known = KNOWN.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-    let same = |m: &&&Metric| m.id == name && m.better == better && m.scale == scale(values);
+    let explanation = match meaning {
+        "" => "A metric that the environment defines by itself.",
+        meaning => meaning,
+    };
+    let same = |m: &&&Metric| {
+        let shown = (m.better, m.scale) == (better, scale(values));
+        m.id == name && shown && m.explanation == explanation
+    };
     if let Some(metric) = known.iter().find(same) {
         return metric;
     }
@@ -97,7 +121,7 @@ fn registered(name: &str, better: Better, values: Values) -> &'static Metric {
         scale: scale(values),
         better,
         shown: Shown::InFigures,
-        explanation: meaning(name),
+        explanation: forever(explanation.to_owned()),
         source: Source::Own,
     }));
     known.push(metric);

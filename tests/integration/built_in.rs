@@ -1,5 +1,7 @@
 //! Built-in environments, and the examples of an environment and of a method of one's own.
 
+use std::path::Path;
+use std::process::Command;
 use std::sync::atomic::AtomicBool;
 
 use iwol_sumo::algo::{self, CommunicationScope};
@@ -44,7 +46,8 @@ fn random(spec: &EnvSpec, worlds: usize, rng: &mut rng::Rng) -> Vec<f32> {
 /// restored go on as those that were not interrupted.
 #[test]
 fn worlds_come_back_to_where_they_were() {
-    for one in NamedEnvironment::all() {
+    for name in NamedEnvironment::BUILT_IN {
+        let one = NamedEnvironment::find(name).expect("it is there");
         let environment = one.environment();
         let spec = environment.spec();
         let stream = stream(3, true);
@@ -135,7 +138,7 @@ fn environments_are_registered_once() {
         ("registered", "registered")
     );
     assert_eq!(found.config.agents, 4);
-    assert!(iwol_sumo::metrics::of_environments().any(|metric| metric.id == "steps"));
+    assert!(iwol_sumo::metrics::of_environments().any(|metric| metric.id == "distance_left"));
     let refused = |make| env::register(make).expect_err("refused").to_string();
     let taken = refused(|| Box::new(Simple::new("registered", own_env::Square::new)));
     assert!(taken.contains("`registered`: another environment has this name"), "{taken}");
@@ -285,4 +288,44 @@ fn training_is_measured_until_it_succeeds() {
         let said = text(&output.stderr);
         assert!(!output.status.success() && said.contains("1 to 100 (per cent)"), "{slip}: {said}");
     }
+}
+
+/// The programs of the examples have the command line of `iwol`, with what they register.
+#[test]
+fn applications_have_the_command_line() {
+    let folder = folder();
+    let examples = Path::new(env!("CARGO_BIN_EXE_iwol")).with_file_name("examples");
+    let play = |name: &str, arguments: &[&str]| {
+        let program = examples.join(name);
+        assert!(program.exists(), "`cargo test` without --test builds {}", program.display());
+        let output = Command::new(program).args(arguments).current_dir(folder.path()).output();
+        let output = output.expect("it runs");
+        let all = [output.stdout, output.stderr].map(|all| String::from_utf8(all).expect("text"));
+        assert!(output.status.success(), "{name} {arguments:?}: {}", all.concat());
+        all.concat()
+    };
+    let small = ["--steps", "160", "--set", "train.envs=2", "--set", "train.rollout_steps=20"];
+    let few = ["--set", "train.validation_episodes=2", "--out", "run"];
+    let square = ["train", "--environment", "square", "--algorithm", "magic"];
+    play("own_env", &[&square[..], &small, &few].concat());
+    let record = ["--record", "episode.json"];
+    let text = play("own_env", &[&["evaluate", "run", "--episodes", "2"][..], &record].concat());
+    assert!(text.contains("distance left"), "{text}");
+    play("own_env", &["replay", "episode.json", "--out", "episode.html"]);
+    let sweep = "title = \"Square\"\n[settings]\nenvironment = \"square\"\nsteps = 80\n\
+                 train = { envs = 2, rollout_steps = 20, validation_episodes = 2 }\n\
+                 [grid]\nalgorithm = [\"mappo\"]\nseed = [0]\n[[evaluate]]\nepisodes = 2\n";
+    std::fs::write(folder.path().join("square.toml"), sweep).expect("written");
+    let text = play("own_env", &["sweep", "square.toml"]);
+    assert!(text.contains("own_env report square.toml"), "{text}");
+    play("own_env", &["report", "square.toml", "-o", "report"]);
+    let report = std::fs::read_to_string(folder.path().join("report/report.md")).expect("a report");
+    assert!(report.contains("own_env sweep square.toml"), "{report}");
+    assert!(report.contains("distance left"), "{report}");
+
+    let ippo = ["train", "--environment", "traffic_junction_easy", "--algorithm", "ippo"];
+    let few = ["--set", "train.validation_episodes=2", "--out", "ippo"];
+    play("own_method", &[&ippo[..], &small, &few].concat());
+    let text = play("own_method", &["evaluate", "ippo", "--episodes", "2"]);
+    assert!(text.contains("collisions"), "{text}");
 }

@@ -44,6 +44,8 @@ enum Mistake {
     NoShare,
     NegativeCount,
     EndsAtOnce,
+    TwoEnds,
+    ActsOn,
     Uninvited,
     TooEarly,
     /// An episode ends earlier in later worlds.
@@ -54,6 +56,8 @@ enum Mistake {
     PaysAll,
     /// Everybody hears everybody, who is not there as well.
     HearsAll,
+    /// At the time limit, all slots are truncated.
+    TruncatesAll,
 }
 
 /// Number of worlds that were made of an environment that depends on it.
@@ -70,7 +74,7 @@ impl Line {
             actions: vec![ActionDimension::named("speed")].into(),
             observation: features(),
             state: features(),
-            most_heard: None,
+            most_heard: (mistake == Mistake::HearsAll).then_some(AGENTS - 1),
             metrics: vec![
                 OwnMetric::count("steps", Better::Lower),
                 OwnMetric::rate("share", Better::Higher),
@@ -136,6 +140,10 @@ impl MultiAgentEnv for Line {
                 frame.truncate(i);
             }
         }
+        if self.mistake == Mistake::TruncatesAll && self.step == 30 {
+            let ended = frame.terminated.clone();
+            (0..AGENTS).filter(|&i| ended[i] == 0.0).for_each(|i| frame.truncate(i));
+        }
         if self.step == 3 {
             frame.begin_agent(2);
         }
@@ -154,6 +162,14 @@ impl MultiAgentEnv for Line {
                 Mistake::OtherSize => frame.observation.push(0.0),
                 Mistake::NoFlag => frame.comm[1] = 0.5,
                 Mistake::NoEnd => frame.terminated[0] = 0.5,
+                Mistake::TwoEnds => {
+                    frame.end(1);
+                    frame.truncate(1);
+                }
+                Mistake::ActsOn => {
+                    frame.end(1);
+                    frame.active[1] = 1.0;
+                }
                 _ => {}
             }
         }
@@ -375,7 +391,7 @@ fn those_who_are_not_there_do_not_count() {
         beside: false,
     };
     let (mut paid, mut heard) = (0.0, 0.0);
-    for mistake in [Mistake::PaysAll, Mistake::HearsAll] {
+    for mistake in [Mistake::PaysAll, Mistake::HearsAll, Mistake::TruncatesAll] {
         let environment = line(mistake);
         let mut world = environment.start(&stream).expect("a world");
         while !world.is_finished() {
@@ -389,6 +405,7 @@ fn those_who_are_not_there_do_not_count() {
             for i in 0..AGENTS {
                 let there = |i: usize| frame.active[i] + frame.truncated[i] > 0.0;
                 assert!(acted[i] > 0.0 || frame.reward[i] == 0.0, "{mistake:?}");
+                assert!(acted[i] > 0.0 || frame.truncated[i] == 0.0, "{mistake:?}");
                 paid += frame.reward[i];
                 for j in 0..AGENTS {
                     let hears = frame.comm[i * AGENTS + j];
@@ -453,6 +470,8 @@ fn mistakes_of_an_environment_are_named() {
         (Mistake::NoShare, "the metric `share` is 85; allowed: a share from 0 to 1"),
         (Mistake::NegativeCount, "the metric `steps` is -2; allowed: a number from 0 on"),
         (Mistake::EndsAtOnce, "agent 1: ends in `reset`"),
+        (Mistake::TwoEnds, "agent 1: both `end` and `truncate` were called"),
+        (Mistake::ActsOn, "agent 1: acts on after its end"),
         (Mistake::Uninvited, "agent 2: acts, but `begin_agent` was not called"),
         (Mistake::TooEarly, "agent 2: begins in a slot that was in use until this step"),
     ] {
@@ -483,7 +502,7 @@ fn mistakes_of_an_environment_are_named() {
         ..Layers::default()
     };
     let error = layers.for_environment(&other).expect_err("refused").to_string();
-    assert!(error.contains("`environment`: `line` is another one than `other`"), "{error}");
+    assert!(error.contains("the settings are for `line`, not for `other`"), "{error}");
     let few = Layers { sets: vec!["train.fewest_agents=2".to_owned()], ..Layers::default() };
     let error = few.for_environment(&*line(Mistake::None)).expect_err("refused");
     assert!(error.to_string().contains("allowed in scenarios only"), "{error}");
@@ -660,7 +679,7 @@ fn built_in_environments_are_used_by_name() {
         ),
         (
             vec!["train", "--environment", "traffic_junction", "--set", "scenario=a.xml"],
-            "a run is in a scenario or in an environment",
+            "give either a scenario or an environment",
         ),
     ] {
         let (fine, text) = play(&arguments);

@@ -3,14 +3,15 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::bail;
+use serde::Serialize;
+use tch::{Device, Tensor};
+
 use crate::algo::{self, ActMode, Observation, Settings};
 use crate::env::Task;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
 use crate::scenario::Scenario;
-use anyhow::bail;
-use serde::Serialize;
-use tch::{Device, Tensor};
 
 use super::quantile;
 
@@ -56,11 +57,11 @@ struct Row {
 pub(super) fn run(args: &Act) -> anyhow::Result<()> {
     let scenario = Scenario::load(&args.scenario)?;
     let names: Vec<&str> = match &args.algorithm[..] {
-        [] => algo::NAMES.to_vec(),
+        [] => algo::names(),
         names => names.iter().map(String::as_str).collect(),
     };
-    if let Some(unknown) = names.iter().find(|name| !algo::NAMES.contains(name)) {
-        bail!("there is no algorithm `{unknown}`; choose from {}", algo::NAMES.join(", "));
+    if let Some(unknown) = names.iter().find(|name| !algo::names().contains(name)) {
+        bail!("there is no algorithm `{unknown}`; choose from {}", algo::names().join(", "));
     }
     tch::set_num_threads(i32::from(args.threads));
     if !args.json {

@@ -7,10 +7,11 @@ use std::path::Path;
 use std::process::Command as Program;
 use std::time::Instant;
 
-use crate::sumo::{self, Backend, Command, Snapshot};
-use crate::words::counted;
 use anyhow::{Context as _, bail, ensure};
 use serde::{Deserialize, Serialize};
+
+use crate::sumo::{self, Backend, Command, Snapshot};
+use crate::words::counted;
 
 use super::super::chain;
 use super::host::Host;

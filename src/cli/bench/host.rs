@@ -1,7 +1,8 @@
 //! Simulations that run the workload in lock-step.
 
-use crate::sumo::{self, Backend, Command, Simulation, Snapshot};
 use rayon::prelude::*;
+
+use crate::sumo::{self, Backend, Command, Simulation, Snapshot};
 
 use super::workload::Workload;
 

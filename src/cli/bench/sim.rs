@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::time::Instant;
 
+use anyhow::{Context as _, ensure};
+use serde::Serialize;
+
 use crate::env::Task;
 use crate::scenario::Scenario;
 use crate::sumo::{self, Backend, Command, Meter};
-use anyhow::{Context as _, ensure};
-use serde::Serialize;
 
 use super::super::chain;
 use super::host::Host;

@@ -5,6 +5,10 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
+use anyhow::Context as _;
+use serde::Serialize;
+use toml::Value;
+
 use crate::config::{Document, Layers, Resolution};
 use crate::curves::{self, Along, Line};
 use crate::driving;
@@ -12,9 +16,6 @@ use crate::metrics::SUCCESS;
 use crate::provenance::{Host, Program};
 use crate::ranks::Team;
 use crate::train::{Report, RunDir};
-use anyhow::Context as _;
-use serde::Serialize;
-use toml::Value;
 
 use super::{Verdict, median};
 use crate::cli::stop_flag;

@@ -4,15 +4,16 @@ use std::path::PathBuf;
 use std::process::Command as Program;
 use std::time::Instant;
 
+use anyhow::{Context as _, ensure};
+use serde::Serialize;
+use toml::Value;
+
 use crate::algo::settings::{Iwol, Network};
 use crate::algo::{self, Algorithm, ComputeDevice, Settings, UpdateParameters};
 use crate::config::{Config, Document, Layers};
 use crate::env::Task;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
-use anyhow::{Context as _, ensure};
-use serde::Serialize;
-use toml::Value;
 
 use super::median;
 
@@ -66,7 +67,7 @@ struct Row {
 
 pub(super) fn run(args: &Update) -> anyhow::Result<()> {
     let names: Vec<&str> = match &args.algorithm[..] {
-        [] => algo::NAMES.to_vec(),
+        [] => algo::names(),
         names => names.iter().map(String::as_str).collect(),
     };
     if !args.json {

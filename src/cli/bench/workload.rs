@@ -1,9 +1,10 @@
 //! The simulated workload of the speed measurements: vehicles drive their routes at changing speeds
 //! and are all put back to their start every 80 steps. Other clients can run the same commands.
 
+use serde_json::{Value, json};
+
 use crate::env::Task;
 use crate::sumo::{Command, Hosting, SimulationConfig, VehicleState};
-use serde_json::{Value, json};
 
 /// Steps between two respawns of all vehicles.
 pub(super) const EPISODE: u32 = 80;

@@ -2,12 +2,13 @@
 
 use std::sync::Arc;
 
+use anyhow::bail;
+
 use crate::driving::{self, Policy};
 use crate::env::{Backdrop, EnvSpec, Environment, Error, Task};
 use crate::evaluate::{self, Evaluation, EvaluationObserver};
 use crate::rng::Seed;
 use crate::sumo::Hosting;
-use anyhow::bail;
 
 /// Where policies are evaluated.
 pub(super) enum Arena {

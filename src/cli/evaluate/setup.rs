@@ -3,6 +3,9 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use anyhow::bail;
+use toml::Value;
+
 use crate::algo::{self, Algorithm, Channel};
 use crate::checkpoint::Checkpoint;
 use crate::config::{self, Change, Config, Document, Layers, Origin, Resolution, TaskSource};
@@ -12,8 +15,6 @@ use crate::provenance::Training;
 use crate::rng::Seed;
 use crate::scenario::Scenario;
 use crate::train::RunDir;
-use anyhow::bail;
-use toml::Value;
 
 use super::Args;
 use super::arena::Arena;
@@ -155,7 +156,7 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
         );
     }
     let checkpoint = Checkpoint::load(&path)?;
-    if !algo::NAMES.contains(&checkpoint.algorithm.as_str()) {
+    if !algo::names().contains(&checkpoint.algorithm.as_str()) {
         bail!(
             "`{}` is a checkpoint of the algorithm `{}`, which this program does not support",
             path.display(),

@@ -3,15 +3,16 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use anyhow::{Context as _, bail};
+use serde::Deserialize as _;
+use serde::de::IntoDeserializer as _;
+use serde::de::value::Error;
+
 use crate::env::{NamedEnvironment, Task};
 use crate::evaluate::Controller;
 use crate::provenance::Training;
 use crate::scenario::Scenario;
 use crate::sumo::{Choice, Hosting};
-use anyhow::{Context as _, bail};
-use serde::Deserialize as _;
-use serde::de::IntoDeserializer as _;
-use serde::de::value::Error;
 
 use super::Args;
 use super::arena::Arena;
@@ -41,7 +42,7 @@ impl Setup {
             bail!(crate::cli::absent::needs_learn("`--device`"));
         }
         if let Some(name) = &args.environment {
-            return Self::without_scenario(args, name);
+            return Self::in_environment(args, name);
         }
         if args.agents == Some(0) {
             bail!("--agents 0: allowed: at least 1");
@@ -63,19 +64,22 @@ impl Setup {
         })
     }
 
-    fn without_scenario(args: &Args, name: &str) -> anyhow::Result<Self> {
-        let Some(built_in) = NamedEnvironment::find(name) else {
+    fn in_environment(args: &Args, name: &str) -> anyhow::Result<Self> {
+        let Some(named) = NamedEnvironment::find(name) else {
             bail!(
                 "there is no environment `{name}` (available: {})",
                 NamedEnvironment::names().join(", ")
             );
         };
-        let arena = Arena::Other(built_in.environment());
+        if args.backend.is_some() {
+            bail!("--backend: has no effect: the environment is without SUMO");
+        }
+        let arena = Arena::Other(named.environment());
         let agents = u32::try_from(arena.spec().agents)?;
         if args.agents.is_some_and(|asked| asked != agents) {
             bail!("--agents: the environment has {agents} agents");
         }
-        let scenario = built_in.name.to_owned();
+        let scenario = named.name.to_owned();
         Ok(Self { arena, scenario, agents, checkpoint: None, training: None })
     }
 

@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
+use anyhow::{Context as _, ensure};
+
 use crate::inspect::{Report, Trial, check};
 use crate::rng::Seed;
 use crate::scenario::Severity;
 use crate::words::counted;
-use anyhow::{Context as _, ensure};
 
 use super::Verdict;
 

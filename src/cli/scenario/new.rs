@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::scenario::author::{Sizes, Template, create};
 use anyhow::Context as _;
+
+use crate::scenario::author::{Sizes, Template, create};
 
 use super::Verdict;
 

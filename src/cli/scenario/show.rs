@@ -2,12 +2,13 @@
 
 use std::path::PathBuf;
 
+use anyhow::bail;
+
 use crate::env::Task;
 use crate::inspect::{page, picture};
 use crate::record::write_atomic;
 use crate::scenario::Scenario;
 use crate::sumo::net::Net;
-use anyhow::bail;
 
 use super::Verdict;
 

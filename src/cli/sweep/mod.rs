@@ -9,13 +9,14 @@ mod work;
 use std::path::PathBuf;
 use std::sync::atomic::Ordering;
 
-use crate::sweep::{Cell, State, Sweep};
-use crate::words::counted;
 use anyhow::bail;
 use globset::Glob;
 
+use crate::sweep::{Cell, State, Sweep};
+use crate::words::counted;
+
 use self::progress::{table, time_left};
-use super::Verdict;
+use super::{Verdict, program};
 
 /// Trains and evaluates every cell of a grid, each in its own process and folder. Finished cells
 /// are skipped and interrupted cells continue, so that the same command resumes a sweep.
@@ -140,7 +141,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         return Ok(Verdict::Bad);
     }
     if failed.is_empty() {
-        say!("report: iwol report {} --runs {}", args.file.display(), args.out.display());
+        say!("report: {} report {} --runs {}", program(), args.file.display(), args.out.display());
     }
     Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
 }

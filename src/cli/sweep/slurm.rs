@@ -5,13 +5,14 @@ use std::path::Path;
 use std::process::Command;
 use std::time::SystemTime;
 
+use anyhow::{Context as _, bail};
+
 use crate::record::write_atomic;
 use crate::sweep::{Cell, State, Sweep};
 use crate::words::counted;
-use anyhow::{Context as _, bail};
 
 use super::Args;
-use crate::cli::Verdict;
+use crate::cli::{Verdict, program};
 
 /// Writes the job script and submits it with `sbatch`.
 pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
@@ -62,7 +63,11 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     }
     let job = String::from_utf8_lossy(&output.stdout).trim().to_owned();
     say!("{} submitted with {}", counted(numbers.len(), "cell"), path.display());
-    say!("watch them with: squeue --job {job}; iwol sweep {} --dry-run", args.file.display());
+    say!(
+        "watch them with: squeue --job {job}; {} sweep {} --dry-run",
+        program(),
+        args.file.display()
+    );
     tell!("{job}");
     Ok(Verdict::Good)
 }

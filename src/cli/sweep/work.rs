@@ -8,13 +8,14 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
-use crate::sweep::{Cell, Job, State, Sweep};
-use crate::train::human_duration;
-use crate::words::counted;
 use anyhow::Context as _;
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
-use super::super::INTERRUPTED;
+use crate::sweep::{Cell, Job, State, Sweep};
+use crate::train::human_duration;
+use crate::words::counted;
+
+use super::super::{INTERRUPTED, program};
 use super::time_left;
 
 /// Interval at which the child processes are polled.
@@ -124,7 +125,7 @@ fn finish(
                     || "was killed".to_owned(),
                     |code| format!("ended with code {code}"),
                 );
-                cell.mark_failed(&format!("iwol {} {how}", job.arguments.join(" ")))?;
+                cell.mark_failed(&format!("{} {} {how}", program(), job.arguments.join(" ")))?;
                 return Ok(End::Failed);
             }
         }
@@ -139,7 +140,7 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
     // The program that runs, also where its file has been replaced since, as a build does.
     let mut command = Command::new("/proc/self/exe");
     command
-        .arg0("iwol")
+        .arg0(program())
         .args(["--die-with-parent", &std::process::id().to_string()])
         .args(&job.arguments);
     command.env("RUST_BACKTRACE", "0");

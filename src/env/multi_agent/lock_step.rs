@@ -127,17 +127,17 @@ impl<E: MultiAgentEnv> World<E> {
         self.episode.phase = Phase::Running;
         self.rewards.fill(0.0);
         self.step_rewards.clear();
+        self.frame.reward.fill(0.0);
         self.check()?;
         let ends = self.frame.terminated.iter().zip(&self.frame.truncated);
         if let Some(i) = ends.into_iter().position(|(end, cut)| end + cut > 0.0) {
             return Err(self.wrong(i, "ends in `reset`; an episode has one step at least"));
         }
         self.leave_out_absent();
-        Ok(())
+        self.check_heard()
     }
 
-    /// Leaves those who are not present out of what can be heard, and lets all others hear
-    /// themselves.
+    /// Clears `comm` for absent agents, and sets its diagonal for present ones.
     fn leave_out_absent(&mut self) {
         let Frame { comm, active, truncated, .. } = &mut self.frame;
         self.heard.copy_from_slice(comm);
@@ -200,15 +200,24 @@ impl<E: MultiAgentEnv> World<E> {
         self.frame.comm.copy_from_slice(&self.heard);
         self.env.step(&self.actions, &mut self.frame);
         self.check()?;
-        self.leave_out_absent();
-        for (reward, acted) in self.frame.reward.iter_mut().zip(&before) {
-            *reward *= acted;
+        // What is written for slots that did not act in this step does not count.
+        let Frame { reward, terminated, truncated, .. } = &mut self.frame;
+        for (i, acted) in before.iter().enumerate() {
+            for value in [&mut reward[i], &mut terminated[i], &mut truncated[i]] {
+                *value *= acted;
+            }
         }
+        self.leave_out_absent();
+        self.check_heard()?;
         // An agent that acted and does not any more has come to an end, which somebody must name.
         for (i, acted) in before.iter().enumerate() {
             let frame = &self.frame;
             let (acted, acts, begins) = (*acted > 0.0, frame.active[i] > 0.0, frame.start[i] > 0.0);
-            let ended = frame.terminated[i] + frame.truncated[i] > 0.0;
+            let ends = frame.terminated[i] + frame.truncated[i];
+            let ended = ends > 0.0;
+            if ends > 1.0 {
+                return Err(self.wrong(i, "both `end` and `truncate` were called"));
+            }
             if acted && !acts && !ended {
                 let what = "acts no more, but neither `end` nor `truncate` was called";
                 return Err(self.wrong(i, what));
@@ -220,6 +229,9 @@ impl<E: MultiAgentEnv> World<E> {
                 let what =
                     "begins in a slot that was in use until this step; let it come a step later";
                 return Err(self.wrong(i, what));
+            }
+            if acts && ended {
+                return Err(self.wrong(i, "acts on after its end"));
             }
         }
         let sum: f32 = self.frame.reward.iter().sum();
@@ -275,8 +287,8 @@ impl<E: MultiAgentEnv> World<E> {
     }
 
     /// Checks that the frame has the sizes of the spec and contains numbers, since one that does
-    /// not would spoil all weights, that flags are 0 or 1, and that every agent hears no more
-    /// others than the spec says, and has a choice if it acts.
+    /// not would spoil all weights, that flags are 0 or 1, and that every agent that acts has a
+    /// choice.
     fn check(&self) -> Result<(), Error> {
         let (frame, spec) = (&self.frame, self.env.spec());
         let n = spec.agents;
@@ -314,14 +326,6 @@ impl<E: MultiAgentEnv> World<E> {
                 return Err(self.wrong(at / (flags.len() / n), &text));
             }
         }
-        if let Some(most) = spec.most_heard {
-            let heard =
-                |i: usize| (0..n).filter(|&j| j != i && frame.comm[i * n + j] > 0.0).count();
-            if let Some(i) = (0..n).find(|&i| heard(i) > most) {
-                let text = format!("it hears {} others, and `most_heard` is {most}", heard(i));
-                return Err(self.wrong(i, &text));
-            }
-        }
         if let Some(choices) = self.env.spec().actions.choices() {
             for (i, open) in frame.available.chunks_exact(choices).enumerate() {
                 if frame.active[i] > 0.0 && open.iter().all(|one| *one < 0.5) {
@@ -342,6 +346,16 @@ impl<E: MultiAgentEnv> World<E> {
             }
         }
         Ok(())
+    }
+
+    /// Checks that every agent hears no more others than the spec says.
+    fn check_heard(&self) -> Result<(), Error> {
+        let (frame, n) = (&self.frame, self.rewards.len());
+        let Some(most) = self.env.spec().most_heard else { return Ok(()) };
+        let heard = |i: usize| (0..n).filter(|&j| j != i && frame.comm[i * n + j] > 0.0).count();
+        let Some(i) = (0..n).find(|&i| heard(i) > most) else { return Ok(()) };
+        let text = format!("it hears {} others, and `most_heard` is {most}", heard(i));
+        Err(self.wrong(i, &text))
     }
 
     pub(super) fn wrong_in_all(&self, what: &str) -> Error {

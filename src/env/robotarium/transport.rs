@@ -265,7 +265,7 @@ mod tests {
         let mut one = world([[0.0, 0.3], [1.2, 0.5], [0.0, -0.3], [1.2, -0.5]]);
         assert!((one.handle() - (20.0 * 0.025 + 20.0 * 0.05)).abs() < 1e-6);
         assert_eq!((one.loads, one.zones, one.left()), ([5, 5, 15, 15], [80, 0], 120));
-        // Who is loaded loads no more.
+        // A loaded robot loads nothing.
         assert_eq!((one.handle(), one.loads, one.zones), (0.0, [5, 5, 15, 15], [80, 0]));
         let home = [[-1.2, 0.6], [-1.2, 0.2], [-1.2, -0.2], [-1.2, -0.6]];
         one.robots = home.map(|place| Robot::at(Vector2::from(place))).to_vec();
