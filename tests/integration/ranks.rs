@@ -13,18 +13,21 @@ use tch::Kind;
 use crate::support::folder;
 
 /// On SUMO, and in an environment without it, whose worlds have no counters to exchange.
-const SUMO: [&str; 3] =
-    ["scenario=scenarios/intersection.xml", "agents=4", "simulation.backend=traci"];
+const SUMO: [&str; 4] = [
+    "scenario=scenarios/intersection.xml",
+    "agents=4",
+    "simulation.backend=traci",
+    "simulation.processes=2",
+];
 const WITHOUT: [&str; 1] = ["environment=traffic_junction_easy"];
 
-const SETTINGS: [&str; 9] = [
+const SETTINGS: [&str; 8] = [
     "train.envs=4",
     "train.rollout_steps=128",
     "train.validate_every=1000",
     "train.validation_episodes=6",
     "ppo.shards=4",
     "ppo.minibatch=512",
-    "simulation.processes=2",
     "seed=3",
     "algorithm=ex-iwol",
 ];
