@@ -170,7 +170,7 @@ impl Layers {
                 }
                 () => continue,
             };
-            let (place, message) = (self.place_of(&key), message.to_owned());
+            let (place, message) = (self.place_of(key), message.to_owned());
             return Err(Error::Value { place, key: key.to_string(), message });
         }
         Ok(())

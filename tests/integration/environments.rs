@@ -402,10 +402,10 @@ fn those_who_are_not_there_do_not_count() {
                 break;
             }
             let frame = view.frame;
-            for i in 0..AGENTS {
+            for (i, acted) in acted.iter().enumerate() {
                 let there = |i: usize| frame.active[i] + frame.truncated[i] > 0.0;
-                assert!(acted[i] > 0.0 || frame.reward[i] == 0.0, "{mistake:?}");
-                assert!(acted[i] > 0.0 || frame.truncated[i] == 0.0, "{mistake:?}");
+                assert!(*acted > 0.0 || frame.reward[i] == 0.0, "{mistake:?}");
+                assert!(*acted > 0.0 || frame.truncated[i] == 0.0, "{mistake:?}");
                 paid += frame.reward[i];
                 for j in 0..AGENTS {
                     let hears = frame.comm[i * AGENTS + j];
@@ -453,7 +453,7 @@ fn episodes_are_recorded_for_the_player() {
 fn mistakes_of_an_environment_are_named() {
     let fails = |mistake: Mistake| {
         let trainer = Trainer::new(config("mappo", &[]), line(mistake));
-        let error = trainer.and_then(|mut trainer| trainer.iterate()).err().expect("refused");
+        let error = trainer.and_then(|mut trainer| trainer.iterate()).expect_err("refused");
         assert!(matches!(error, iwol_sumo::train::Error::Env(_)), "{error:?}");
         error.to_string()
     };
