@@ -246,6 +246,7 @@ fn ignore_hangup() {
 }
 
 /// Returns the name of this program, for commands that users are told to run.
+#[cfg(feature = "learn")]
 fn program() -> String {
     let path = std::env::args_os().next().map(std::path::PathBuf::from).unwrap_or_default();
     path.file_name().map_or_else(|| "iwol".to_owned(), |name| name.to_string_lossy().into_owned())
