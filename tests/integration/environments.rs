@@ -378,7 +378,7 @@ fn frames_tell_who_comes_and_who_ends() {
     assert_eq!((begun, ended), ([1, 1, 2], [1, 1, 1]));
 }
 
-/// Who is not there earns nothing, hears nobody and is not heard, whatever the environment writes.
+/// An absent agent earns nothing, hears nobody and is not heard, whatever the environment writes.
 #[test]
 fn those_who_are_not_there_do_not_count() {
     let stream = Stream {

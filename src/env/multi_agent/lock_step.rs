@@ -65,7 +65,7 @@ pub(super) struct World<E> {
     training: bool,
     pub(super) episode: Episode,
     frame: Frame,
-    /// Who hears whom, `[N, N]`, as the environment has left it: with those who are not present.
+    /// The mask `comm`, `[N, N]`, as the environment has left it: absent agents are not cleared.
     heard: Vec<f32>,
     /// Sums of the agents' rewards in this episode, and their mean in each step.
     rewards: Vec<f64>,
