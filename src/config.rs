@@ -1,4 +1,4 @@
-//! Settings of a run: defaults < preset < `--config file.toml` < `--set key=value` < flags, checked
+//! Settings of a run: defaults < profile < preset < `--config file.toml` < `--set key=value` < flags, checked
 //! key by key.
 //!
 //! A setting is declared once, as a field of the struct of its group: documentation, default and
@@ -16,6 +16,7 @@ mod flat;
 mod layers;
 mod origin;
 mod presets;
+mod profiles;
 mod rules;
 mod scenario;
 mod schema;
@@ -30,6 +31,7 @@ pub use flat::{Change, flatten, full_name, plain};
 pub use layers::{Layers, Resolution, TaskSource};
 pub use origin::{Origin, Origins};
 pub use presets::{PRESETS, Preset};
+pub use profiles::{PROFILES, Profile};
 pub(crate) use scenario::flat_changes;
 pub use scenario::{ScenarioSettings, changes};
 pub use uses::no_matter_of_evaluation;

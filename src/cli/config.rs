@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use toml::Value;
 
 use crate::algo;
-use crate::config::{Config, Document, Layers, PRESETS};
+use crate::config::{Config, Document, Layers, PRESETS, PROFILES, Profile};
 use crate::env::NamedEnvironment;
 
 use super::Verdict;
@@ -60,6 +60,8 @@ pub(super) struct SettingsArgs {
     backend: Option<String>,
     #[arg(long, value_name = "NAME", help = format!("Preset, which replaces defaults: {}", PRESETS.map(|preset| preset.name).join(", ")))]
     preset: Option<String>,
+    #[arg(long, value_name = "NAME", help = format!("Kind of machine, from which defaults of rollouts, updates and device follow: {}, or auto for this machine's [default: auto, unless a file names one]", PROFILES.each_ref().map(|profile| profile.name).join(", ")))]
+    profile: Option<String>,
     /// TOML file with settings, e.g. the config.toml of a run folder.
     #[arg(long, value_name = "FILE")]
     pub(super) config: Option<PathBuf>,
@@ -69,13 +71,19 @@ pub(super) struct SettingsArgs {
 }
 
 impl SettingsArgs {
-    /// Returns the layers of settings that the arguments give.
-    pub(super) fn layers(&self) -> anyhow::Result<Layers> {
+    /// Returns the layers of settings that the arguments give; `machine` is the profile of this
+    /// machine.
+    pub(super) fn layers(&self, machine: &'static Profile) -> anyhow::Result<Layers> {
         let document = self.config.as_deref().map(Document::read).transpose()?.unwrap_or_default();
-        Ok(Layers { document, sets: self.set.clone(), flags: self.flags()? })
+        Ok(Layers {
+            profile: Some(machine),
+            document,
+            sets: self.set.clone(),
+            flags: self.flags(machine)?,
+        })
     }
 
-    fn flags(&self) -> anyhow::Result<Vec<(&'static str, Value)>> {
+    fn flags(&self, machine: &Profile) -> anyhow::Result<Vec<(&'static str, Value)>> {
         let integer = |v: u64| {
             i64::try_from(v)
                 .map(Value::Integer)
@@ -85,6 +93,13 @@ impl SettingsArgs {
         let path = |path: &Option<PathBuf>| text(&path.as_ref().map(|p| p.display().to_string()));
         let flags = [
             ("preset", text(&self.preset)),
+            (
+                "profile",
+                text(&self.profile).map(|name| match name.as_str() {
+                    Some("auto") => machine.name.into(),
+                    _ => name,
+                }),
+            ),
             ("scenario", path(&self.scenario)),
             ("environment", text(&self.environment)),
             ("algorithm", text(&self.algorithm)),
@@ -105,7 +120,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else if args.reference {
         super::print(format_args!("{}", Config::reference()));
     } else {
-        super::print(format_args!("{}", args.settings.layers()?.resolve()?.explained()));
+        super::print(format_args!(
+            "{}",
+            args.settings.layers(Profile::of_this_machine())?.resolve()?.explained()
+        ));
     }
     Ok(Verdict::Good)
 }

@@ -12,7 +12,7 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{self, Config, Document, Resolution, TaskSource};
+use crate::config::{self, Config, Document, PROFILES, Profile, Resolution, TaskSource};
 use crate::driving;
 use crate::ranks::{self, Ranks, Team};
 use crate::sumo::Choice;
@@ -22,7 +22,7 @@ use crate::words::counted;
 use super::config::SettingsArgs;
 use super::{Verdict, program};
 
-/// Settings in rising priority: defaults, `--preset`, `--config`, `--set`, other flags. The resolved
+/// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags. The resolved
 /// settings are stored in the run folder; `iwol config` prints them without training.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
@@ -89,14 +89,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     end
 }
 
+/// Returns the profile of the first process's machine, so that all processes have the same
+/// settings.
+fn common_profile(ranks: &dyn Ranks) -> &'static Profile {
+    let own = Profile::of_this_machine();
+    let number = PROFILES.iter().position(|profile| profile.name == own.name).unwrap_or(0);
+    let numbers = ranks.all_gather(&[number as u8]);
+    &PROFILES[usize::from(numbers[0][0])]
+}
+
 fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     let given = &args.settings;
-    let mut layers = given.layers()?;
+    let mut layers = given.layers(common_profile(&*ranks))?;
     if let (None, Some(out), true) = (&given.config, &args.out, args.resume) {
         // A resumed run uses its own settings.
         layers.document = Document::read(&RunDir::new(out).config())?;
     }
-    let Resolution { mut config, mut place, .. } = layers.resolve()?;
+    let Resolution { mut config, mut place, mut profile, .. } = layers.resolve()?;
     if let Some(why) = config.cannot_be_trained() {
         bail!(why);
     }
@@ -109,7 +118,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     if args.resume && given.config.is_none() && args.out.is_none() {
         // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
-        Resolution { config, place, .. } = layers.resolve()?;
+        Resolution { config, place, profile, .. } = layers.resolve()?;
     }
     if !args.resume && dir.last().exists() {
         bail!(
@@ -205,7 +214,18 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             format!("{} without SUMO", counted(config.train.envs, "world"))
         }
     };
-    say!("{worlds}");
+    let ppo = &config.learner.ppo;
+    say!(
+        "{worlds}, minibatches of {} samples in {} on {}{}",
+        ppo.minibatch,
+        counted(ppo.shards, "shard"),
+        String::from(config.device),
+        if args.resume {
+            String::new()
+        } else {
+            format!(" (defaults for the profile {})", profile.name)
+        }
+    );
     if size > 1 {
         say!("{size} processes divide worlds and updates among them");
     }

@@ -1,9 +1,11 @@
-//! Defaults of settings: those that the structs declare, the preset of the scenario's kind, and the
-//! rules by which defaults follow from the number of agents, the method and the initial weights.
+//! Defaults of settings: those that the structs declare, the preset of the scenario's kind, the
+//! rules by which defaults follow from the number of agents, the method and the initial weights, and
+//! the profile.
 
 use super::Config;
 use super::origin::Origin;
 use super::presets::STEERING;
+use super::profiles::Profile;
 use super::values::Values;
 use crate::algo;
 use crate::algo::settings::Exploration;
@@ -37,13 +39,14 @@ impl Setting<'_> {
 }
 
 impl Values {
-    /// Returns the defaults for `algorithm` with `agents` agents; `trained`: training starts from a
-    /// trained policy.
+    /// Returns the defaults for `algorithm` with `agents` agents on a machine of this `profile`;
+    /// `trained`: training starts from a trained policy.
     pub(super) fn defaults(
         setting: Setting<'_>,
         algorithm: &str,
         agents: u32,
         trained: bool,
+        profile: &Profile,
     ) -> Self {
         let (file, spec) = match setting {
             Setting::Scenario(file) => (Some(file), None),
@@ -57,26 +60,29 @@ impl Values {
         if steers {
             values.preset(&STEERING);
         }
-        values.follow("number of agents", |config| config.follow_agents(agents, steers));
+        let rule = Origin::Rule;
+        values.follow(rule("number of agents"), |config| config.follow_agents(agents, steers));
         if file.is_some_and(|file| file.scenario.agents.come_from_files()) {
             // A vehicle that is on the road at the horizon of an open-ended flow is not late.
-            values
-                .follow("agents from route files", |config| config.train.bootstrap_horizon = true);
+            values.follow(rule("agents from route files"), |config| {
+                config.train.bootstrap_horizon = true;
+            });
         }
         if spec.is_some_and(|spec| spec.actions.choices().is_some()) {
             // There is no noise to follow, and nothing else keeps the policy exploring.
-            values.follow("discrete actions", |config| {
+            values.follow(rule("discrete actions"), |config| {
                 config.learner.ppo.entropy_coefficient = ENTROPY_OF_CHOICES;
                 config.learner.ppo.learning_rate_follows_noise = false;
             });
         }
-        values.follow("method", |config| config.follow_method(algorithm));
+        values.follow(rule("method"), |config| config.follow_method(algorithm));
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
-            values.follow("init_from", |config| {
+            values.follow(rule("init_from"), |config| {
                 config.learner.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }
+        values.follow(Origin::Profile(profile.name), |config| config.follow_profile(profile));
         values
     }
 }

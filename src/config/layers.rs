@@ -9,16 +9,20 @@ use toml::de::{DeTable, DeValue};
 use super::defaults::Setting;
 use super::origin::{Origin, Origins};
 use super::presets::Preset;
-use super::values::{Values, parse_value, to_table};
+use super::profiles::{PROFILES, Profile};
+use super::values::{NAMED, Values, parse_value, to_table};
 use super::{Change, Config, DEFAULT_ALGORITHM, Document, Error, full_name, schema};
 use crate::env::{EnvSpec, Environment, NamedEnvironment};
 use crate::scenario::{Scenario, ScenarioFile};
 use crate::suggest::nearest;
 
-/// The sources of settings, in rising priority. Below all of them are the defaults, and the preset
-/// that the setting `preset` names in any of them.
+/// The sources of settings, in rising priority. Below all of them are the defaults, then the profile
+/// and the preset that the keys `profile` and `preset` name in any of them.
 #[derive(Debug, Clone, Default)]
 pub struct Layers {
+    /// The profile where no layer names one; by default `laptop`, so that the same files give the
+    /// same settings on every machine.
+    pub profile: Option<&'static Profile>,
     /// The file of `--config`, or the configuration in a checkpoint.
     pub document: Document,
     /// `--set key=value`, in order.
@@ -38,6 +42,8 @@ pub struct Resolution {
     pub origins: Origins,
     /// The values that replace others in the scenario's file.
     pub replaced: Vec<Change>,
+    /// The profile from which defaults come.
+    pub profile: &'static Profile,
 }
 
 /// Where agents act.
@@ -97,11 +103,12 @@ impl Layers {
     pub fn resolve(&self) -> Result<Resolution, Error> {
         let document = &self.document;
         let parsed = self.parsed()?;
+        let profile = self.profile(parsed.get_ref());
         if let Some(named) = self.named_environment(parsed.get_ref())? {
             let environment = named.environment();
             let (config, origins) = self.in_environment(parsed.get_ref(), &*environment)?;
             let place = TaskSource::Environment(named);
-            return Ok(Resolution { config, place, origins, replaced: Vec::new() });
+            return Ok(Resolution { config, place, origins, replaced: Vec::new(), profile });
         }
         // The scenario gives its own values and the default number of agents.
         let path = self.look_up(parsed.get_ref(), "scenario.file");
@@ -116,7 +123,7 @@ impl Layers {
         scenario.net_for(config.agents)?;
         let replaced = config.scenario.changes(&file);
         let place = TaskSource::Scenario(Box::new(scenario));
-        Ok(Resolution { config, place, origins, replaced })
+        Ok(Resolution { config, place, origins, replaced, profile })
     }
 
     /// Returns the environment that the layers name, if they name one.
@@ -262,6 +269,7 @@ impl Layers {
             algorithm.as_deref().unwrap_or(DEFAULT_ALGORITHM),
             given.unwrap_or(setting.agents()),
             word("init_from").is_some_and(|from| !from.is_empty()),
+            self.profile(parsed),
         );
         if let Some(preset) = preset {
             values.preset(preset);
@@ -285,6 +293,9 @@ impl Layers {
             values.assign(&key.split('.').collect::<Vec<_>>(), value.clone(), &place)?;
         }
 
+        if !matches!(values.origins["ppo.shards"], Origin::Given(_)) {
+            values.follow(Origin::Rule("minibatch"), Config::follow_minibatch);
+        }
         let Values { table, origins } = values;
         let wrong = |keys: &[&str], allowed: &str| {
             // The first key breaks the rule, but the user may have set another key of the rule.
@@ -311,6 +322,12 @@ impl Layers {
             return wrong(keys, allowed);
         }
         Ok((config, origins))
+    }
+
+    /// Returns the profile that the layers name, or else the one for this machine.
+    fn profile(&self, document: &DeTable<'_>) -> &'static Profile {
+        let named = self.word(document, "profile").and_then(|name| Profile::named(&name));
+        named.or(self.profile).unwrap_or(&PROFILES[0])
     }
 
     /// Returns the word that the layers give for a setting, by its full name; `None` if they give
@@ -352,7 +369,8 @@ impl Resolution {
         super::remove_untold(&mut table, &self.config.algorithm);
         let text = toml::to_string_pretty(&table).expect("a configuration is plain data");
         let mut group = String::new();
-        let mut lines = String::new();
+        let Profile { name, machines, .. } = self.profile;
+        let mut lines = format!("# profile {name} (for {machines})\n");
         for line in text.lines() {
             if let Some(name) = line.strip_prefix('[') {
                 group = format!("{}.", name.trim_end_matches(']'));
@@ -381,7 +399,7 @@ fn unknown_key(layer: &DeTable<'_>, prefix: &str, document: &Document) -> Option
             DeValue::Table(inner) if names.iter().any(|known| known.starts_with(&group)) => {
                 unknown_key(inner, &group, document)
             }
-            _ if name == "preset" || names.contains(&name) => None,
+            _ if NAMED.contains(&name.as_str()) || names.contains(&name) => None,
             _ => Some(Error::UnknownKey {
                 place: document.place(key.span().start),
                 nearest: nearest(&name, names.iter().map(String::as_str)).map(str::to_owned),

@@ -12,6 +12,8 @@ pub enum Origin {
     Scenario,
     /// The preset with this name.
     Preset(&'static str),
+    /// The profile with this name.
+    Profile(&'static str),
     /// A rule by which defaults follow from the thing with this name.
     Rule(&'static str),
     /// The user, in this place: file, line and column, `--set key=value` or a flag.
@@ -27,6 +29,7 @@ impl fmt::Display for Origin {
             Self::Declared => f.write_str("default"),
             Self::Scenario => f.write_str("scenario"),
             Self::Preset(name) => write!(f, "preset {name}"),
+            Self::Profile(name) => write!(f, "profile {name}"),
             Self::Rule(what) => write!(f, "default for this {what}"),
             Self::Given(place) => f.write_str(place),
         }

@@ -8,6 +8,7 @@ use serde_json::{Map, Value, json};
 use toml::Table;
 
 use super::presets::{PRESETS, STEERING};
+use super::profiles::PROFILES;
 use super::{Config, flatten};
 use crate::scenario::overridable;
 
@@ -17,9 +18,13 @@ impl Config {
     /// Returns the JSON schema of files with settings, for editors. No setting is required.
     pub fn schema() -> Value {
         let mut schema = SCHEMA.clone();
-        let names = PRESETS.map(|preset| preset.name);
+        let named = |description: &str, names: &[&str]| json!({ "description": description, "enum": names });
         schema["properties"]["preset"] =
-            json!({ "description": "Settings that replace defaults.", "enum": names });
+            named("Settings that replace defaults.", &PRESETS.map(|preset| preset.name));
+        schema["properties"]["profile"] = named(
+            "Kind of machine, whose sizes of rollouts and updates replace defaults.",
+            &PROFILES.map(|profile| profile.name),
+        );
         let groups = schema["$defs"].as_object_mut().expect("groups").values_mut();
         groups.filter_map(Value::as_object_mut).for_each(|group| _ = group.remove("required"));
         // The defaults of a group are those of its settings, of which some depend on the machine.

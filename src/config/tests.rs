@@ -4,8 +4,8 @@ use std::path::Path;
 
 use toml::Value;
 
-use super::{Config, Document, Error, Layers, Origin, PRESETS, Train, changes, flatten};
-use crate::algo::settings;
+use super::{Config, Document, Error, Layers, Origin, PRESETS, Profile, Train, changes, flatten};
+use crate::algo::{ComputeDevice, settings};
 use crate::scenario::Scenario;
 
 fn resolve(text: &str, sets: &[&str]) -> Result<Config, Error> {
@@ -22,6 +22,7 @@ fn layers_on(scenario: &str, text: &str, sets: &[&str]) -> Layers {
         document: Document { name: "c.toml".to_owned(), text: text.to_owned(), generated: false },
         sets: sets.iter().map(|s| (*s).to_owned()).collect(),
         flags: vec![("scenario", Value::String(scenario.display().to_string()))],
+        ..Layers::default()
     }
 }
 
@@ -184,6 +185,42 @@ fn presets_lie_between_defaults_and_files() {
 }
 
 #[test]
+fn profiles_give_sizes_below_presets_and_files() {
+    let of = |text: &str, sets: &[&str]| resolve(text, sets).unwrap();
+    let sizes = |c: &Config| (c.train.envs, c.learner.ppo.minibatch, c.learner.ppo.shards);
+    let laptop = of("", &[]);
+    assert_eq!(of("profile = 'laptop'", &[]), laptop, "the same on every machine");
+    let (envs, minibatch, _) = sizes(&laptop);
+    let station = of("profile = 'workstation'", &[]);
+    assert_eq!(sizes(&station), (4 * envs, 4 * minibatch, 16));
+    let gpu = of("", &["profile=gpu"]);
+    assert_eq!((sizes(&gpu).1, gpu.device), (16 * minibatch, ComputeDevice::Cuda(0)));
+    let given = "profile = 'workstation'\ntrain.envs = 3\nppo.shards = 5\nppo.minibatch = 300";
+    assert_eq!(sizes(&of(given, &[])), (3, 300, 5));
+    // A preset is for a purpose, whatever the machine; parts of its minibatches are not too small.
+    let paper = of("profile = 'workstation'\npreset = 'paper'", &["ppo.minibatch=1300"]);
+    assert_eq!(sizes(&paper), (16, 1300, 5));
+    assert_eq!(of("", &["ppo.minibatch=100"]).learner.ppo.shards, 1);
+    // The machine counts only where no layer names a profile.
+    let mut layers = layers_on("intersection", "", &[]);
+    layers.profile = Profile::named("workstation");
+    let resolved = layers.resolve().unwrap();
+    assert_eq!(resolved.config, station);
+    assert_eq!(resolved.origins["train.envs"].to_string(), "profile workstation");
+    assert!(resolved.explained().starts_with("# profile workstation (for 8 cores or more)\n"));
+    layers.sets.push("profile=laptop".to_owned());
+    assert_eq!(Config::resolve(&layers).unwrap().0, laptop);
+    // What is stored has the sizes, and no profile changes them.
+    layers.sets = vec!["profile=gpu".to_owned()];
+    layers.document = Document::of_run("run".to_owned(), station.to_toml());
+    assert_eq!(Config::resolve(&layers).unwrap().0, station);
+    assert_eq!(
+        message("profile = 'auto'\n", &[]),
+        "c.toml:1:11: bad value for `profile`: there is no profile `auto` (available: laptop, workstation, gpu)"
+    );
+}
+
+#[test]
 fn each_value_has_an_origin() {
     let sets = ["algorithm=maddpg", "init_from=runs/any", "train.envs=3"];
     let resolved = layers_on("parking_lot", "seed = 4\n", &sets).resolve().unwrap();
@@ -277,6 +314,7 @@ fn stored_settings_hold_the_task_when_the_file_changes() {
         document: Document::of_run("run".to_owned(), text),
         sets: sets.to_vec(),
         flags: vec![("scenario", path.display().to_string().into())],
+        ..Layers::default()
     };
     let first = layers(String::new(), &sets).resolve().unwrap();
     let stored = first.config.to_toml();

@@ -5,10 +5,14 @@ use toml::{Table, Value};
 
 use super::origin::{Origin, Origins};
 use super::presets::{PRESETS, Preset};
+use super::profiles::{PROFILES, Profile};
 use super::{Config, Document, Error, flatten, full_name, scenario};
 use crate::algo;
 use crate::scenario::cannot_override;
 use crate::suggest::nearest;
+
+/// The keys that name settings instead of being settings.
+pub(super) const NAMED: [&str; 2] = ["preset", "profile"];
 
 /// The values of all settings, and the origin of each.
 pub(super) struct Values {
@@ -24,15 +28,15 @@ impl Values {
         Self { table, origins }
     }
 
-    /// Applies a rule and notes it as the origin of what it changes.
-    pub(super) fn follow(&mut self, rule: &'static str, change: impl FnOnce(&mut Config)) {
+    /// Applies a rule and notes `origin` as the origin of what it changes.
+    pub(super) fn follow(&mut self, origin: Origin, change: impl FnOnce(&mut Config)) {
         let mut config: Config = self.table.clone().try_into().expect("defaults are valid");
         change(&mut config);
         let was = flatten(&self.table);
         self.table = to_table(&config);
         let changed =
             flatten(&self.table).into_iter().filter(|(key, value)| was.get(key) != Some(value));
-        self.origins.extend(changed.map(|(key, _)| (key, Origin::Rule(rule))));
+        self.origins.extend(changed.map(|(key, _)| (key, origin.clone())));
     }
 
     /// Takes over the settings of a preset.
@@ -79,12 +83,23 @@ impl Values {
             key: keys.join("."),
             message,
         };
-        if keys == ["preset"] {
-            // Presets are taken over before all documents.
-            return match value.as_str().and_then(Preset::named) {
-                Some(_) => Ok(()),
-                None => Err(bad(unknown("preset", &value, &PRESETS.map(|preset| preset.name)))),
-            };
+        // Presets and profiles are taken over before all documents.
+        let name = value.as_str().unwrap_or_default();
+        let (known, names) = match keys {
+            ["preset"] => {
+                (Preset::named(name).is_some(), &PRESETS.each_ref().map(|preset| preset.name)[..])
+            }
+            ["profile"] => (
+                Profile::named(name).is_some(),
+                &PROFILES.each_ref().map(|profile| profile.name)[..],
+            ),
+            _ => (false, &[][..]),
+        };
+        if known {
+            return Ok(());
+        }
+        if !names.is_empty() {
+            return Err(bad(unknown(keys[0], &value, names)));
         }
         if flatten(&self.table).keys().any(|key| key.starts_with(&format!("{}.", keys.join(".")))) {
             return Err(bad("this is a group of settings; set one of them".to_owned()));
@@ -146,9 +161,9 @@ impl Values {
         self.origins.insert(keys.join("."), origin);
     }
 
-    /// Checks that a key is valid: the table contains every valid key but `preset`.
+    /// Checks that a key is valid: the table contains every valid key but those of named settings.
     fn check_key(&self, keys: &[&str], place: &str) -> Result<(), Error> {
-        if keys == ["preset"] {
+        if matches!(keys, [key] if NAMED.contains(key)) {
             return Ok(());
         }
         let mut here = &self.table;

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use serde::Serialize;
 use toml::Value;
 
-use crate::config::{Document, Layers, Resolution};
+use crate::config::{Layers, Profile, Resolution};
 use crate::curves::{self, Along, Line};
 use crate::driving;
 use crate::metrics::SUCCESS;
@@ -136,7 +136,8 @@ impl Train {
             ("seed", Value::Integer(i64::try_from(seed)?)),
         ];
         flags.extend(self.agents.map(|count| ("agents", Value::Integer(count.into()))));
-        Ok(Layers { document: Document::default(), sets: self.set.clone(), flags })
+        let profile = Some(Profile::of_this_machine());
+        Ok(Layers { profile, sets: self.set.clone(), flags, ..Layers::default() })
     }
 }
 

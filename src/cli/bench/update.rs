@@ -10,7 +10,7 @@ use toml::Value;
 
 use crate::algo::settings::{Iwol, Network};
 use crate::algo::{self, Algorithm, ComputeDevice, Settings, UpdateParameters};
-use crate::config::{Config, Document, Layers};
+use crate::config::{Config, Layers};
 use crate::env::Task;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
@@ -89,7 +89,7 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
             ("agents", Value::Integer(args.agents.into())),
             ("algorithm", Value::String(name.to_owned())),
         ];
-        let layers = Layers { document: Document::default(), sets: args.set.clone(), flags };
+        let layers = Layers { sets: args.set.clone(), flags, ..Layers::default() };
         let (config, scenario) = Config::resolve(&layers)?;
         let row = measure(name, &config, &Task::new(&scenario, config.agents)?, args)?;
         if args.json {

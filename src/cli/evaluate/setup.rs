@@ -59,7 +59,7 @@ impl Setup {
         if let Some(backend) = &args.backend {
             layers.flags.push(("simulation.backend", Value::String(backend.clone())));
         }
-        let Resolution { config, place, origins, mut replaced } = layers.resolve()?;
+        let Resolution { config, place, origins, mut replaced, .. } = layers.resolve()?;
         // What the user asked for needs no mention.
         replaced.retain(|change| match origins.get(&change.key) {
             Some(Origin::Given(place)) => !place.starts_with("--"),

@@ -1,0 +1,83 @@
+//! Profiles: sizes of rollouts and updates with which a kind of machine is busy.
+
+use super::Config;
+use crate::algo::ComputeDevice;
+
+/// Sizes with which a kind of machine is busy. They replace defaults; presets, files, `--set` and
+/// flags override them.
+#[derive(Debug)]
+pub struct Profile {
+    /// Name on the command line and in files.
+    pub name: &'static str,
+    /// The machines for which it is meant.
+    pub machines: &'static str,
+    /// Factor of the number of worlds and of the samples per minibatch.
+    scale: usize,
+    /// Number of parts of a minibatch that are processed at the same time.
+    shards: usize,
+    device: ComputeDevice,
+}
+
+/// Number of cores from which a machine counts as a workstation.
+const WORKSTATION_CORES: usize = 8;
+/// Least number of samples per shard. Smaller parts take longer to distribute than they save.
+const LEAST_SHARD: usize = 256;
+
+/// All profiles. The first one has the declared defaults.
+pub const PROFILES: [Profile; 3] = [
+    Profile {
+        name: "laptop",
+        machines: "up to 7 cores",
+        scale: 1,
+        shards: 2,
+        device: ComputeDevice::Cpu,
+    },
+    Profile {
+        name: "workstation",
+        machines: "8 cores or more",
+        scale: 4,
+        shards: 16,
+        device: ComputeDevice::Cpu,
+    },
+    Profile {
+        name: "gpu",
+        machines: "a GPU with CUDA",
+        scale: 16,
+        shards: 1,
+        device: ComputeDevice::Cuda(0),
+    },
+];
+
+impl Profile {
+    /// Returns the profile called `name`.
+    pub fn named(name: &str) -> Option<&'static Self> {
+        PROFILES.iter().find(|profile| profile.name == name)
+    }
+
+    /// Returns the profile for this machine.
+    pub fn of_this_machine() -> &'static Self {
+        let cores = std::thread::available_parallelism().map_or(1, usize::from);
+        let [laptop, workstation, gpu] = &PROFILES;
+        match () {
+            () if tch::Cuda::is_available() => gpu,
+            () if cores >= WORKSTATION_CORES => workstation,
+            () => laptop,
+        }
+    }
+}
+
+impl Config {
+    /// Takes over the sizes of a profile.
+    pub(super) fn follow_profile(&mut self, profile: &Profile) {
+        self.train.envs *= profile.scale;
+        self.learner.ppo.minibatch *= profile.scale;
+        self.learner.ppo.shards = profile.shards;
+        self.device = profile.device;
+    }
+
+    /// Leaves out shards for which a minibatch has too few samples.
+    pub(super) fn follow_minibatch(&mut self) {
+        let ppo = &mut self.learner.ppo;
+        ppo.shards = ppo.shards.min(ppo.minibatch / LEAST_SHARD).max(1);
+    }
+}
