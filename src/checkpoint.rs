@@ -56,6 +56,18 @@ pub struct Checkpoint {
     pub worlds: Vec<WorldState>,
     /// Memory of the policy, `[E, N, M]` flattened.
     pub memory: Vec<f32>,
+    /// The policy that plays the next rollout, where it is not the learner's
+    /// ([`overlap`](crate::config::Train::overlap)).
+    pub player: Option<Player>,
+}
+
+/// A policy that plays a rollout while the learner goes on.
+#[derive(Debug)]
+pub struct Player {
+    /// State of the learner whose policy plays: tensors by name.
+    pub learner: Vec<(String, Tensor)>,
+    /// Logarithm of the scheduled standard deviation of actions.
+    pub log_std: f64,
 }
 
 impl Checkpoint {
@@ -79,6 +91,7 @@ impl Checkpoint {
         self.learner.retain(|(name, _)| !dropped(name));
         self.worlds.clear();
         self.memory.clear();
+        self.player = None;
         self
     }
 
@@ -89,10 +102,16 @@ impl Checkpoint {
     /// [`Error::Write`] or [`Error::Record`].
     pub fn save(&self, path: &Path) -> Result<(), Error> {
         let mut entries: Vec<(String, Dtype, Vec<usize>, Vec<u8>)> = Vec::new();
-        for (name, tensor) in &self.learner {
-            let shape = tensor.size().iter().map(|&d| d as usize).collect();
-            let (dtype, bytes) = tensor_bytes(tensor);
-            entries.push((format!("learner/{name}"), dtype, shape, bytes));
+        let mut add = |group: &str, state: &[(String, Tensor)]| {
+            for (name, tensor) in state {
+                let shape = tensor.size().iter().map(|&d| d as usize).collect();
+                let (dtype, bytes) = tensor_bytes(tensor);
+                entries.push((format!("{group}/{name}"), dtype, shape, bytes));
+            }
+        };
+        add("learner", &self.learner);
+        if let Some(player) = &self.player {
+            add("player", &player.learner);
         }
         for (i, world) in self.worlds.iter().enumerate() {
             entries.push((
@@ -119,7 +138,7 @@ impl Checkpoint {
         let episodes: Vec<(u64, bool)> =
             self.worlds.iter().map(|world| (world.episode, world.interrupted)).collect();
         let positions: Vec<&Position> = self.worlds.iter().map(|world| &world.position).collect();
-        let metadata = HashMap::from([
+        let mut metadata = HashMap::from([
             ("format".to_owned(), FORMAT.to_owned()),
             ("algorithm".to_owned(), self.algorithm.clone()),
             ("config".to_owned(), self.config.clone()),
@@ -127,6 +146,9 @@ impl Checkpoint {
             ("episodes".to_owned(), serde_json::to_string(&episodes).expect("plain data")),
             ("positions".to_owned(), serde_json::to_string(&positions).expect("plain data")),
         ]);
+        if let Some(player) = &self.player {
+            metadata.insert("player".to_owned(), player.log_std.to_string());
+        }
         let bad = |message: String| Error::Write { path: path.to_owned(), message };
         let views = entries
             .iter()
@@ -226,11 +248,14 @@ impl Checkpoint {
                 })
             })
             .collect::<Result<_, Error>>()?;
-        let mut learner = Vec::new();
+        let mut groups = [("learner/", Vec::new()), ("player/", Vec::new())];
         for (name, view) in tensors.iter() {
-            let Some(name) = name.strip_prefix("learner/") else {
+            let part = |group: &mut (&str, Vec<_>)| name.starts_with(group.0);
+            let Some(group) = groups.iter_mut().position(part) else {
                 continue;
             };
+            let (prefix, state) = &mut groups[group];
+            let name = &name[prefix.len()..];
             let kind = match view.dtype() {
                 Dtype::F32 => Kind::Float,
                 Dtype::F64 => Kind::Double,
@@ -244,8 +269,16 @@ impl Checkpoint {
             if kind != Kind::Int64 && !finite.map_err(|e| damaged(format!("{name}: {e}")))? {
                 return Err(damaged(format!("{name} contains a value that is not finite")));
             }
-            learner.push((name.to_owned(), tensor));
+            state.push((name.to_owned(), tensor));
         }
+        let [(_, learner), (_, player)] = groups;
+        let player = match metadata.and_then(|m| m.get("player")) {
+            None => None,
+            Some(log_std) => Some(Player {
+                learner: player,
+                log_std: log_std.parse().map_err(|e| damaged(format!("player: {e}")))?,
+            }),
+        };
         Ok(Self {
             progress,
             config: text("config")?,
@@ -253,6 +286,7 @@ impl Checkpoint {
             learner,
             worlds,
             memory: floats("memory")?,
+            player,
         })
     }
 }

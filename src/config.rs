@@ -125,6 +125,10 @@ pub struct Train {
     #[default = 0.5]
     #[schemars(range(min = 0, max = 1))]
     pub repeat_failed: f64,
+    /// Whether the next rollout is played while the last one is learned from, so that neither the
+    /// simulation nor the learner waits for the other. The policy that plays is then one update
+    /// old; the stored probabilities of its actions correct for that. For one process only.
+    pub overlap: bool,
     /// Whether the value of the last observation stands for the rewards after the horizon, as if
     /// episodes went on. Otherwise the horizon is a deadline: an agent that has not arrived by then
     /// earns nothing more. True by default with agents from route files, whose flow goes on.

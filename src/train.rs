@@ -6,6 +6,7 @@
 
 #![cfg(feature = "learn")]
 
+mod ahead;
 mod collect;
 mod error;
 mod files;
@@ -24,15 +25,17 @@ use std::time::{Duration, Instant};
 use serde::Serialize;
 use tch::{Kind, Tensor};
 
-use crate::algo::{Algorithm, Losses};
+use crate::algo::{Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
-use crate::env::{Environment, EpisodeRecord, WorldState, Worlds};
+use crate::env::{Environment, WorldState};
 use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
 use crate::fnv::Fnv;
 use crate::ranks::{Ranks, Team};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
+use ahead::Ahead;
+use collect::{Collector, Exploring};
 
 pub use error::Error;
 use files::Files;
@@ -83,21 +86,24 @@ struct Mark {
     memory: Tensor,
 }
 
+impl Mark {
+    fn copy(&self) -> Self {
+        Self { worlds: self.worlds.clone(), memory: self.memory.shallow_clone() }
+    }
+}
+
 /// A learner and the worlds in which it trains.
 pub struct Trainer {
     config: Config,
     environment: Box<dyn Environment>,
-    worlds: Box<dyn Worlds>,
     learner: Box<dyn Algorithm>,
     ranks: Arc<dyn Ranks>,
     rollout: Rollout,
-    /// Memory of the policy before the next decision, `[E, N, M]`.
-    memory: Tensor,
+    /// The next rollout, where it is played beside the update.
+    ahead: Option<Ahead>,
+    collector: Collector,
     progress: Progress,
     seed: Seed,
-    /// Training episodes that ended in the last iteration.
-    finished: Vec<EpisodeRecord>,
-    timers: Timers,
 }
 
 impl Trainer {
@@ -161,19 +167,53 @@ impl Trainer {
     /// If worlds cannot go on or training diverges.
     pub fn iterate(&mut self) -> Result<Losses, Error> {
         let begin = Instant::now();
-        let seed = self.seed.child("iteration").index(self.progress.iteration);
+        let losses = match self.ahead.take() {
+            None => self.iterate_in_turn(),
+            Some(mut ahead) => {
+                let losses = self.iterate_ahead(&mut ahead);
+                self.ahead = Some(ahead);
+                losses
+            }
+        };
+        self.progress.seconds += begin.elapsed().as_secs_f64();
+        losses
+    }
+
+    /// Plays a rollout, then learns from it.
+    fn iterate_in_turn(&mut self) -> Result<Losses, Error> {
+        let seed = self.iteration_seed(0);
         self.collect(seed.child("noise"))?;
-        let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
-        schedule::advance(&self.config, &mut self.progress, steps);
-        let parameters = schedule::update_parameters(&self.config, &self.progress);
+        let parameters = self.advance();
         let learner = &mut self.learner;
-        let losses = timed(&mut self.timers.update, || {
+        let losses = timed(&mut self.collector.timers.update, || {
             learner.update(&self.rollout, &parameters, seed.child("update"))
         })?;
         self.agree()?;
         self.progress.iteration += 1;
-        self.progress.seconds += begin.elapsed().as_secs_f64();
         Ok(losses)
+    }
+
+    /// Plays a rollout with the present policy.
+    fn collect(&mut self, seed: Seed) -> Result<(), Error> {
+        let player = Exploring { policy: &*self.learner, log_std: self.log_std() };
+        self.collector.collect(&self.config, player, &mut self.rollout, seed)
+    }
+
+    /// Returns the seed of an iteration, counted from the present one.
+    fn iteration_seed(&self, later: u64) -> Seed {
+        self.seed.child("iteration").index(self.progress.iteration + later)
+    }
+
+    /// Returns the logarithm of the scheduled standard deviation of actions.
+    fn log_std(&self) -> f64 {
+        schedule::update_parameters(&self.config, &self.progress).log_std
+    }
+
+    /// Adds the rollout's steps to the progress, and returns the parameters of the update.
+    fn advance(&mut self) -> UpdateParameters {
+        let steps = (self.rollout.sizes.steps * self.rollout.sizes.envs) as u64;
+        schedule::advance(&self.config, &mut self.progress, steps);
+        schedule::update_parameters(&self.config, &self.progress)
     }
 
     /// Checks that all processes have the same weights.
@@ -216,16 +256,18 @@ impl Trainer {
 
     /// Returns a checkpoint from which training can continue.
     pub fn checkpoint(&self) -> Checkpoint {
-        self.checkpoint_at(self.mark())
-    }
-
-    /// Returns the present state of the worlds and of the memory.
-    fn mark(&self) -> Mark {
-        Mark { worlds: self.worlds.states(), memory: self.memory.shallow_clone() }
+        match &self.ahead {
+            None => self.checkpoint_at(self.collector.mark()),
+            Some(ahead) => {
+                let (mark, player) = ahead.resume();
+                Checkpoint { player: Some(player), ..self.checkpoint_at(mark) }
+            }
+        }
     }
 
     fn checkpoint_at(&self, mark: Mark) -> Checkpoint {
         Checkpoint {
+            player: None,
             progress: self.progress.clone(),
             config: self.config.to_toml(),
             algorithm: self.config.algorithm.clone(),
@@ -279,14 +321,15 @@ impl Trainer {
                 break TrainingEnd::Finished;
             }
             let before = (self.progress.step, self.progress.seconds);
-            self.timers = Timers::default();
-            self.finished.clear();
-            let begin = self.mark();
+            self.collector.timers = Timers::default();
+            self.collector.finished.clear();
+            let begin = self.ahead.is_none().then(|| self.collector.mark());
             let losses = match self.iterate() {
                 // A failed rollout has changed only the worlds, so it can be repeated from its
                 // beginning.
                 Err(error @ Error::Env(_)) => {
-                    self.checkpoint_at(begin).save(&dir.last())?;
+                    let begin = begin.map(|begin| self.checkpoint_at(begin));
+                    begin.unwrap_or_else(|| self.checkpoint()).save(&dir.last())?;
                     return Err(error);
                 }
                 other => other?,

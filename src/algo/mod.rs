@@ -278,7 +278,7 @@ pub struct UpdateParameters {
 pub type Losses = Vec<(&'static str, f64)>;
 
 /// A learner: policy, value function and their optimisers.
-pub trait Algorithm {
+pub trait Algorithm: Send {
     /// Returns the algorithm's name, as on the command line.
     fn name(&self) -> &'static str;
 

@@ -34,6 +34,11 @@ impl Config {
                 "mlp or attention: this method learns from single steps of a replay buffer, without memory",
             ),
             (
+                &["train.overlap", "algorithm"],
+                !train.overlap || on_policy,
+                "false: this method learns from a replay buffer, whatever policy filled it",
+            ),
+            (
                 &["exploration.mode", "algorithm"],
                 exploration.mode == settings::NoiseMode::Schedule || on_policy,
                 "schedule: this method does not learn the amount of noise",

@@ -3,43 +3,70 @@
 use tch::Tensor;
 
 use super::noise::CorrelatedNoise;
-use super::{Error, Trainer, schedule, timed};
+use super::{Error, Mark, Timers, timed};
 use crate::algo::settings::NoiseMode;
-use crate::algo::{self, ActMode, Observation};
-use crate::env::Worlds;
+use crate::algo::{self, ActMode, Algorithm, Channel, Observation};
+use crate::config::Config;
+use crate::env::{EpisodeRecord, Worlds};
 use crate::rng::{self, Rng, Seed};
 use crate::rollout::Rollout;
 
 const FLOAT: (tch::Kind, tch::Device) = (tch::Kind::Float, tch::Device::Cpu);
 
-impl Trainer {
+/// The worlds of a training, and what playing them needs.
+pub(super) struct Collector {
+    pub worlds: Box<dyn Worlds>,
+    /// Memory of the policy before the next decision, `[E, N, M]`.
+    pub memory: Tensor,
+    /// Training episodes that ended in the last iteration.
+    pub finished: Vec<EpisodeRecord>,
+    pub timers: Timers,
+}
+
+/// A policy as it plays in training.
+#[derive(Clone, Copy)]
+pub(super) struct Exploring<'a> {
+    pub policy: &'a dyn Algorithm,
+    /// Logarithm of the scheduled standard deviation of actions.
+    pub log_std: f64,
+}
+
+impl Collector {
+    /// Returns the present state of the worlds and of the memory.
+    pub(super) fn mark(&self) -> Mark {
+        Mark { worlds: self.worlds.states(), memory: self.memory.shallow_clone() }
+    }
+
     /// Plays as many steps as the rollout has, in all worlds, and stores them.
     ///
     /// # Errors
     /// If SUMO fails twice in a row.
-    pub(super) fn collect(&mut self, seed: Seed) -> Result<(), Error> {
-        let s = self.rollout.sizes;
+    pub(super) fn collect(
+        &mut self,
+        config: &Config,
+        player: Exploring<'_>,
+        rollout: &mut Rollout,
+        seed: Seed,
+    ) -> Result<(), Error> {
+        let Exploring { policy, log_std } = player;
+        let s = rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // The noise starts anew in each iteration: it depends on the iteration's number alone.
         let discrete = s.choices > 0;
-        let exploration = &self.config.learner.exploration;
+        let exploration = &config.learner.exploration;
         let correlation = if discrete { 0.0 } else { exploration.correlation as f32 };
         let mut noise = CorrelatedNoise::new(s.envs * s.agents * s.actions, correlation);
         let correlated = noise.is_correlated();
-        self.rollout.carried.resize(if correlated { self.rollout.action.len() } else { 0 }, 0.0);
-        self.rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
+        rollout.carried.resize(if correlated { rollout.action.len() } else { 0 }, 0.0);
+        rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = exploration.mode == NoiseMode::Schedule;
-        let schedule = if imposed {
-            schedule::update_parameters(&self.config, &self.progress).log_std as f32
-        } else {
-            0.0
-        };
+        let schedule = if imposed { log_std as f32 } else { 0.0 };
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
-                store_row(&*self.worlds, &self.memory, &mut self.rollout, t);
+                store_row(&*self.worlds, &self.memory, rollout, t);
             });
-            self.disturb_messages(t, &seed);
+            disturb_messages(config.channel, policy, rollout, t, &seed);
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
                 if correlated && t > 0 {
@@ -53,75 +80,78 @@ impl Trainer {
                 noise.advance(&mut rng);
                 let mut carried = Tensor::zeros([0], FLOAT);
                 if correlated {
-                    let actions = self.rollout.at(t, s.actions);
-                    self.rollout.carried[actions].copy_from_slice(noise.carried());
-                    self.rollout.log_fresh[t] = noise.log_fresh();
+                    let actions = rollout.at(t, s.actions);
+                    rollout.carried[actions].copy_from_slice(noise.carried());
+                    rollout.log_fresh[t] = noise.log_fresh();
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                 }
                 let log_fresh = f64::from(noise.log_fresh());
                 let graph = if s.graph_noise > 0 {
-                    if self.learner.graph_lasts() {
+                    if policy.graph_lasts() {
                         rng = seed.child("graph").rng();
                     }
-                    store_graph_noise(&mut self.rollout, t, schedule, rng);
-                    let cell = self.rollout.at(t, s.graph_noise);
-                    Tensor::from_slice(&self.rollout.graph_noise[cell]).view([e, n, -1])
+                    store_graph_noise(rollout, t, schedule, rng);
+                    let cell = rollout.at(t, s.graph_noise);
+                    Tensor::from_slice(&rollout.graph_noise[cell]).view([e, n, -1])
                 } else {
                     Tensor::zeros([0], FLOAT)
                 };
                 let action = Tensor::from_slice(noise.drawn()).view([e, n, a]);
-                let observation = Observation::at(&self.rollout, t, &self.memory);
+                let observation = Observation::at(rollout, t, &self.memory);
                 let (action, carried, graph) = (&action, &carried, &graph);
-                self.learner
-                    .act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
+                policy.act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
             });
             timed(&mut self.timers.copy, || {
-                copy_out(&decision.action, &mut self.rollout.action, t);
-                copy_out(&decision.log_prob, &mut self.rollout.log_prob, t);
+                copy_out(&decision.action, &mut rollout.action, t);
+                copy_out(&decision.log_prob, &mut rollout.log_prob, t);
             });
             self.memory = decision.memory;
-            let actions = self.rollout.at(t, s.actions);
-            timed(&mut self.timers.simulate, || self.worlds.step(&self.rollout.action[actions]))?;
+            let actions = rollout.at(t, s.actions);
+            timed(&mut self.timers.simulate, || self.worlds.step(&rollout.action[actions]))?;
             self.finished.extend(self.worlds.take_finished());
             timed(&mut self.timers.copy, || {
                 for e in 0..self.worlds.count() {
-                    let (frame, cell) = (self.worlds.view(e).frame, self.rollout.cell(t, e, 1));
-                    self.rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
-                    self.rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
-                    self.rollout.truncated[cell].copy_from_slice(&frame.truncated);
-                    self.rollout.interrupted[t * s.envs + e] =
-                        f32::from(u8::from(frame.interrupted));
+                    let (frame, cell) = (self.worlds.view(e).frame, rollout.cell(t, e, 1));
+                    rollout.reward[cell.clone()].copy_from_slice(&frame.reward);
+                    rollout.terminated[cell.clone()].copy_from_slice(&frame.terminated);
+                    rollout.truncated[cell].copy_from_slice(&frame.truncated);
+                    rollout.interrupted[t * s.envs + e] = f32::from(u8::from(frame.interrupted));
                 }
             });
         }
         timed(&mut self.timers.copy, || {
-            store_row(&*self.worlds, &self.memory, &mut self.rollout, s.steps);
+            store_row(&*self.worlds, &self.memory, rollout, s.steps);
         });
-        self.disturb_messages(s.steps, &seed);
-        if self.learner.graph_lasts() {
+        disturb_messages(config.channel, policy, rollout, s.steps, &seed);
+        if policy.graph_lasts() {
             // The last observation is valued over the same graph as the rollout.
-            store_graph_noise(&mut self.rollout, s.steps, schedule, seed.child("graph").rng());
+            store_graph_noise(rollout, s.steps, schedule, seed.child("graph").rng());
         }
         Ok(())
     }
+}
 
-    /// Cuts the messages that the channel loses from row `t` of the rollout's physical masks, so that
-    /// policy, value function and update all see who heard whom, and draws which ones are false.
-    fn disturb_messages(&mut self, t: usize, seed: &Seed) {
-        let channel = self.config.channel;
-        if self.learner.message_width() == 0 {
-            return;
-        }
-        let row = self.rollout.at(t, self.rollout.sizes.agents);
-        let rng = |what: &str| seed.child(what).index(t as u64).rng();
-        if channel.loss > 0.0 {
-            let comm = &mut self.rollout.comm[row.clone()];
-            channel.cut(comm, self.rollout.sizes.agents, &mut rng("lost"));
-        }
-        if channel.falsified > 0.0 {
-            self.rollout.replaced.resize(self.rollout.comm.len(), 0.0);
-            channel.falsify(&mut self.rollout.replaced[row], &mut rng("false"));
-        }
+/// Cuts the messages that the channel loses from row `t` of the rollout's physical masks, so that
+/// policy, value function and update all see who heard whom, and draws which ones are false.
+fn disturb_messages(
+    channel: Channel,
+    policy: &dyn Algorithm,
+    rollout: &mut Rollout,
+    t: usize,
+    seed: &Seed,
+) {
+    if policy.message_width() == 0 {
+        return;
+    }
+    let row = rollout.at(t, rollout.sizes.agents);
+    let rng = |what: &str| seed.child(what).index(t as u64).rng();
+    if channel.loss > 0.0 {
+        let comm = &mut rollout.comm[row.clone()];
+        channel.cut(comm, rollout.sizes.agents, &mut rng("lost"));
+    }
+    if channel.falsified > 0.0 {
+        rollout.replaced.resize(rollout.comm.len(), 0.0);
+        channel.falsify(&mut rollout.replaced[row], &mut rng("false"));
     }
 }
 
@@ -171,7 +201,7 @@ mod tests {
     use toml::Value;
 
     use super::*;
-    use crate::config::{Config, Layers};
+    use crate::config::Layers;
 
     /// Where vehicles steer and noise is correlated, each action has the log density of the process
     /// that drew it, given the noise of the step before, in every world and at every step.

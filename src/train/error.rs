@@ -73,6 +73,15 @@ pub enum Error {
         /// Number of processes.
         size: usize,
     },
+    /// Several processes cannot play and learn at the same time.
+    #[error(
+        "train.overlap is true, but {size} processes exchange results while they simulate and while they learn, one after the other; \
+         set it to false, or start one process"
+    )]
+    OverlapAmongRanks {
+        /// Number of processes.
+        size: usize,
+    },
     /// Processes of one training have come to different weights.
     #[error(
         "the processes of this training have come to different weights in iteration {iteration}, so that it cannot go on: their          machines compute differently; start it on machines of one kind"

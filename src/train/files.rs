@@ -118,7 +118,7 @@ impl Files {
         steps_per_second: f64,
     ) -> Result<Option<f64>, Error> {
         let episodes: Vec<_> =
-            trainer.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
+            trainer.collector.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
         let mean = |of: fn(&EpisodeRecord) -> f64| {
             episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
         };
@@ -141,7 +141,7 @@ impl Files {
             ];
             values.extend(known.into_iter().filter_map(|(name, value)| Some((name, value?))));
         }
-        let timers = &trainer.timers;
+        let timers = &trainer.collector.timers;
         values.extend([
             ("iteration", trainer.progress.iteration as f64),
             ("steps_per_second", steps_per_second),
@@ -151,7 +151,7 @@ impl Files {
             ("time/copy_s", timers.copy),
             ("time/update_s", timers.update),
         ]);
-        values.extend(trainer.worlds.counters());
+        values.extend(trainer.collector.worlds.counters());
         let own = own_means("episode", episodes.iter().map(|record| &record.own));
         values.extend(own.iter().map(|(name, mean)| (name.as_str(), *mean)));
         self.write(trainer.progress.step, &values)?;

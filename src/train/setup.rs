@@ -4,6 +4,8 @@ use std::sync::Arc;
 
 use tch::Tensor;
 
+use super::ahead::Ahead;
+use super::collect::Collector;
 use super::{Error, RunDir, Timers, Trainer, schedule};
 use crate::algo::{self, Settings};
 use crate::checkpoint::{Checkpoint, Progress};
@@ -25,14 +27,10 @@ impl Trainer {
         let spec = environment.spec();
         let device = config.device.find()?;
         let settings = Settings { channel: config.channel, ..config.learner.clone() };
-        let mut learner = algo::build_among(
-            &config.algorithm,
-            spec,
-            &settings,
-            seed.child("weights"),
-            device,
-            &team.ranks,
-        )?;
+        let (name, ranks) = (&config.algorithm, &team.ranks);
+        let new = || algo::build_among(name, spec, &settings, seed.child("weights"), device, ranks);
+        let mut learner = new()?;
+        let player = config.train.overlap.then(new).transpose()?;
         let envs = config.train.envs;
         let stream = Stream {
             worlds: envs,
@@ -97,19 +95,26 @@ impl Trainer {
         let mut rollout = Rollout::new(sizes);
         rollout.cooperation = environment.cooperation();
         rollout.bootstrap_horizon = config.train.bootstrap_horizon;
-        Ok(Self {
+        let mut trainer = Self {
             rollout,
-            memory: Tensor::from_slice(&memory).view(shape),
+            ahead: None,
+            collector: Collector {
+                worlds,
+                memory: Tensor::from_slice(&memory).view(shape),
+                finished: Vec::new(),
+                timers: Timers::default(),
+            },
             config,
             environment,
-            worlds,
             learner,
             ranks: Arc::clone(&team.ranks),
             progress,
             seed,
-            finished: Vec::new(),
-            timers: Timers::default(),
-        })
+        };
+        if let Some(player) = player {
+            trainer.ahead = Some(Ahead::new(player, &trainer, checkpoint)?);
+        }
+        Ok(trainer)
     }
 }
 
@@ -123,6 +128,9 @@ fn divided(
     let size = team.ranks.size();
     if size == 1 {
         return Ok(environment);
+    }
+    if config.train.overlap {
+        return Err(Error::OverlapAmongRanks { size });
     }
     for (key, count) in
         [("train.envs", config.train.envs), ("ppo.shards", config.learner.ppo.shards)]

@@ -1,4 +1,5 @@
-//! Trainings whose ranks are threads of one process.
+//! Trainings whose ranks are threads of one process, and trainings that play and learn at the same
+//! time.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,7 +11,10 @@ use toml::Value;
 use super::{RunDir, Trainer, TrainingEnd};
 use crate::checkpoint::Checkpoint;
 use crate::config::{Config, Layers};
-use crate::env::{self, Environment};
+use crate::env::{
+    self, Backdrop, EnvSpec, Environment, EpisodeRecord, Picture, Stream, WorldState, WorldView,
+    Worlds,
+};
 use crate::ranks::threads::threads;
 use crate::ranks::{Team, part_of};
 
@@ -183,4 +187,159 @@ fn validations_differ_in_their_episodes() {
     let outcomes: Vec<_> = lines.iter().map(outcome).collect();
     let [first, second] = [&outcomes[..7], &outcomes[7..14]];
     assert_ne!(first, second);
+}
+
+const OVERLAP: [&str; 2] = ["train.overlap=true", "train.rollout_steps=10"];
+
+/// A run that plays and learns at the same time goes on from its checkpoint bit for bit, also after
+/// validations that change the schedule, and with memories.
+#[test]
+fn overlapped_trainings_resume_bit_for_bit() {
+    let gru = ["network.encoder=gru", "network.chunk_length=5"];
+    for (method, more) in [("ex-iwol", &[][..]), ("mappo", &gru)] {
+        let run = |stops: &[u64]| {
+            let folder = tempfile::tempdir().expect("a folder");
+            let file = folder.path().join("last.safetensors");
+            for iterations in stops {
+                let settings = config(method, &[&OVERLAP[..], more].concat());
+                let last = file.exists().then(|| Checkpoint::load(&file).expect("loaded"));
+                let team = Team::alone();
+                let trainer = Trainer::among(settings, environment(), last.as_ref(), &team);
+                let mut trainer = trainer.expect("a trainer");
+                for _ in 0..*iterations {
+                    trainer.iterate().expect("an iteration");
+                }
+                trainer.checkpoint().save(&file).expect("saved");
+            }
+            content(&Checkpoint::load(&file).expect("loaded"))
+        };
+        assert!(run(&[5]) == run(&[1, 3, 1]), "{method}");
+    }
+}
+
+/// The first update is that of a training in turn. The rollout played beside it is of the policy
+/// before the update: that of a training that learns nothing.
+#[test]
+fn the_policy_that_plays_is_one_update_old() {
+    let trainer = |more: &[&str]| {
+        let settings = config("mappo", &[&["train.rollout_steps=10"], more].concat());
+        Trainer::new(settings, environment()).expect("a trainer")
+    };
+    let weights = |trainer: &Trainer| content(&trainer.checkpoint()).0;
+    let mut overlapped = trainer(&OVERLAP);
+    let mut in_turn = trainer(&[]);
+    let mut still = trainer(&["ppo.learning_rate=0", "ppo.learning_rate_follows_noise=false"]);
+    for trainer in [&mut overlapped, &mut in_turn, &mut still] {
+        trainer.iterate().expect("an iteration");
+    }
+    assert!(weights(&overlapped) == weights(&in_turn));
+    assert!(weights(&overlapped) != weights(&still));
+    for trainer in [&mut overlapped, &mut in_turn, &mut still] {
+        trainer.iterate().expect("an iteration");
+    }
+    let played = |trainer: &Trainer| {
+        let rollout = &trainer.rollout;
+        (rollout.action.clone(), rollout.log_prob.clone(), rollout.reward.clone())
+    };
+    assert!(played(&overlapped) == played(&still));
+    assert!(played(&overlapped) != played(&in_turn));
+}
+
+/// The environment of these tests, whose worlds fail once after some steps.
+struct Failing {
+    inner: Box<dyn Environment>,
+    /// Steps of a training's worlds up to the failure.
+    steps: usize,
+}
+
+struct FailingWorlds {
+    inner: Box<dyn Worlds>,
+    left: usize,
+}
+
+impl Environment for Failing {
+    fn name(&self) -> &str {
+        self.inner.name()
+    }
+    fn spec(&self) -> &EnvSpec {
+        self.inner.spec()
+    }
+    fn start(&self, stream: &Stream) -> Result<Box<dyn Worlds>, env::Error> {
+        let left = if stream.training { self.steps } else { usize::MAX };
+        Ok(Box::new(FailingWorlds { inner: self.inner.start(stream)?, left }))
+    }
+    fn restore(&self, _: &Stream, _: &[WorldState]) -> Result<Box<dyn Worlds>, env::Error> {
+        unreachable!("it starts once")
+    }
+    fn backdrop(&self) -> Result<Backdrop, env::Error> {
+        self.inner.backdrop()
+    }
+}
+
+impl Worlds for FailingWorlds {
+    fn count(&self) -> usize {
+        self.inner.count()
+    }
+    fn view(&self, e: usize) -> WorldView<'_> {
+        self.inner.view(e)
+    }
+    fn step(&mut self, actions: &[f32]) -> Result<(), env::Error> {
+        if self.left == 0 {
+            return Err(env::Error::Long { net: "failing".to_owned(), metres: 1.0, limit: 0.0 });
+        }
+        self.left -= 1;
+        self.inner.step(actions)
+    }
+    fn take_finished(&mut self) -> Vec<EpisodeRecord> {
+        self.inner.take_finished()
+    }
+    fn states(&self) -> Vec<WorldState> {
+        self.inner.states()
+    }
+    fn picture(&self, e: usize) -> Option<Picture> {
+        self.inner.picture(e)
+    }
+}
+
+/// After its worlds have failed, a run goes on as if they had not, whether it was playing beside an
+/// update or in turn with it.
+#[test]
+fn a_failed_rollout_is_played_again() {
+    for overlap in ["train.overlap=true", "train.overlap=false"] {
+        let settings = || config("mappo", &[overlap, "train.rollout_steps=10"]);
+        let run = |environment: Box<dyn Environment>, dir: &RunDir| {
+            let last = dir.last().exists().then(|| Checkpoint::load(&dir.last()).expect("loaded"));
+            let team = Team::alone();
+            let trainer = Trainer::among(settings(), environment, last.as_ref(), &team);
+            trainer.expect("a trainer").run(dir, &team.stop, &mut |_| {})
+        };
+        let [whole, broken] = [(); 2].map(|()| tempfile::tempdir().expect("a folder"));
+        let [whole, broken] = [&whole, &broken].map(|folder| RunDir::new(folder.path()));
+        run(environment(), &whole).expect("it runs");
+        // In the first rollout, and in a later one.
+        for steps in [7, 33] {
+            let _ = std::fs::remove_file(broken.last());
+            let failing = Failing { inner: environment(), steps };
+            let error = run(Box::new(failing), &broken).expect_err("it fails");
+            assert!(matches!(error, super::Error::Env(_)), "{error}");
+            run(environment(), &broken).expect("it goes on");
+            let [one, other] = [&whole, &broken]
+                .map(|dir| content(&Checkpoint::load(&dir.last()).expect("a checkpoint")));
+            assert!(one == other, "{overlap}, {steps}");
+        }
+    }
+}
+
+/// What cannot be overlapped is refused.
+#[test]
+fn overlaps_are_refused_where_they_cannot_be() {
+    let team = Team::new(threads(2).remove(0), Arc::default());
+    let settings = config("mappo", &OVERLAP);
+    let error = Trainer::among(settings, environment(), None, &team).err().expect("refused");
+    assert!(error.to_string().starts_with("train.overlap is true, but 2 processes"), "{error}");
+    let navigation = env::NamedEnvironment::find("navigation").expect("there").environment();
+    let sets = vec!["algorithm=maddpg".to_owned(), "train.overlap=true".to_owned()];
+    let layers = Layers { sets, ..Layers::default() };
+    let error = layers.for_environment(&*navigation).expect_err("refused").to_string();
+    assert!(error.contains("train.overlap") && error.contains("replay buffer"), "{error}");
 }

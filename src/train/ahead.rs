@@ -1,0 +1,98 @@
+//! Simulation beside learning (`train.overlap`): while the learner learns from one rollout, the next
+//! one is played with the policy from before the update.
+
+use super::collect::Exploring;
+use super::{Error, Mark, Trainer, timed};
+use crate::algo::{Algorithm, Losses};
+use crate::checkpoint::{Checkpoint, Player};
+use crate::rollout::Rollout;
+
+/// The rollout that comes next, and the policy that plays it.
+pub(super) struct Ahead {
+    /// A copy of the learner from before its last update.
+    player: Box<dyn Algorithm>,
+    /// Logarithm of the scheduled standard deviation with which the rollout is played.
+    log_std: f64,
+    /// State before the rollout.
+    mark: Mark,
+    rollout: Rollout,
+    is_played: bool,
+}
+
+impl Ahead {
+    /// Begins with the policy and the noise in the checkpoint, or else with those of the learner.
+    ///
+    /// # Errors
+    /// If the checkpoint does not fit.
+    pub(super) fn new(
+        mut player: Box<dyn Algorithm>,
+        trainer: &Trainer,
+        checkpoint: Option<&Checkpoint>,
+    ) -> Result<Self, Error> {
+        let stored = checkpoint.and_then(|checkpoint| checkpoint.player.as_ref());
+        let log_std = match stored {
+            Some(stored) => {
+                player.load(&stored.learner)?;
+                stored.log_std
+            }
+            None => {
+                player.load(&trainer.learner.state())?;
+                trainer.log_std()
+            }
+        };
+        let rollout = trainer.rollout.clone();
+        Ok(Self { player, log_std, mark: trainer.collector.mark(), rollout, is_played: false })
+    }
+
+    /// Returns what a checkpoint needs to play the rollout again.
+    pub(super) fn resume(&self) -> (Mark, Player) {
+        let player = Player { learner: self.player.state(), log_std: self.log_std };
+        (self.mark.copy(), player)
+    }
+}
+
+impl Trainer {
+    /// Learns from one rollout while the next one is played. After an error of the worlds, the
+    /// rollout can be played again from a checkpoint.
+    ///
+    /// # Errors
+    /// As [`Trainer::iterate`].
+    pub(super) fn iterate_ahead(&mut self, ahead: &mut Ahead) -> Result<Losses, Error> {
+        let seed = self.iteration_seed(0);
+        if !ahead.is_played {
+            let player = Exploring { policy: &*ahead.player, log_std: ahead.log_std };
+            let noise = seed.child("noise");
+            self.collector.collect(&self.config, player, &mut ahead.rollout, noise)?;
+        }
+        std::mem::swap(&mut self.rollout, &mut ahead.rollout);
+        let parameters = self.advance();
+        ahead.player.load(&self.learner.state())?;
+        (ahead.log_std, ahead.mark) = (parameters.log_std, self.collector.mark());
+        // What follows the last update would not be learned from.
+        let goes_on = self.progress.step < self.config.steps;
+        let noise = self.iteration_seed(1).child("noise");
+        let (learner, rollout) = (&mut *self.learner, &self.rollout);
+        let (updated, played) = std::thread::scope(|scope| {
+            let update = scope.spawn(move || {
+                // Each thread has its own number of libtorch's threads.
+                tch::set_num_threads(1);
+                let mut seconds = 0.0;
+                let update = || learner.update(rollout, &parameters, seed.child("update"));
+                (timed(&mut seconds, update), seconds)
+            });
+            let player = Exploring { policy: &*ahead.player, log_std: ahead.log_std };
+            let played = if goes_on {
+                self.collector.collect(&self.config, player, &mut ahead.rollout, noise)
+            } else {
+                Ok(())
+            };
+            (update.join(), played)
+        });
+        let (losses, seconds) = updated.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        self.collector.timers.update += seconds;
+        ahead.is_played = goes_on && played.is_ok();
+        let losses = losses?;
+        self.progress.iteration += 1;
+        played.map(|()| losses)
+    }
+}
