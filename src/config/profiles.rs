@@ -1,4 +1,8 @@
 //! Profiles: sizes of rollouts and updates with which a kind of machine is busy.
+//!
+//! More cores get more parts of the same minibatch. A larger minibatch needs more environment steps
+//! (four times as large, 1.7 to 3.4 times as many: docs/lab/speed.md), and only a GPU may make up for
+//! that.
 
 use super::Config;
 use crate::algo::ComputeDevice;
@@ -11,8 +15,9 @@ pub struct Profile {
     pub name: &'static str,
     /// The machines for which it is meant.
     pub machines: &'static str,
-    /// Factor of the number of worlds and of the samples per minibatch.
-    scale: usize,
+    /// Factor of the number of worlds and of the samples per minibatch. Rollouts hold as many steps,
+    /// and the learning rate grows with the factor's square root.
+    scale: u32,
     /// Number of parts of a minibatch that are processed at the same time.
     shards: usize,
     device: ComputeDevice,
@@ -35,14 +40,14 @@ pub const PROFILES: [Profile; 3] = [
     Profile {
         name: "workstation",
         machines: "8 cores or more",
-        scale: 4,
-        shards: 16,
+        scale: 1,
+        shards: 8,
         device: ComputeDevice::Cpu,
     },
     Profile {
         name: "gpu",
         machines: "a GPU with CUDA",
-        scale: 16,
+        scale: 4,
         shards: 1,
         device: ComputeDevice::Cuda(0),
     },
@@ -69,9 +74,13 @@ impl Profile {
 impl Config {
     /// Takes over the sizes of a profile.
     pub(super) fn follow_profile(&mut self, profile: &Profile) {
-        self.train.envs *= profile.scale;
-        self.learner.ppo.minibatch *= profile.scale;
-        self.learner.ppo.shards = profile.shards;
+        let scale = profile.scale as usize;
+        self.train.envs *= scale;
+        self.train.rollout_steps /= scale;
+        let ppo = &mut self.learner.ppo;
+        ppo.minibatch *= scale;
+        ppo.learning_rate *= f64::from(profile.scale).sqrt();
+        ppo.shards = profile.shards;
         self.device = profile.device;
     }
 

@@ -44,8 +44,8 @@ impl Config {
             "# Settings\n\n\
              Made from the declarations of the settings by `iwol config --reference`; edit the declarations, not this page.\n\n\
              Defaults are those for 8 vehicles that do not steer; *steering* marks those of scenarios in which vehicles steer \
-             (`presets/steering.toml`). N stands for the number of agents. `iwol config` prints what a run would use and where \
-             each value comes from.\n\n## The run\n",
+             (`presets/steering.toml`). N stands for the number of agents. A [profile](../guide/training.md#where-settings-come-from) replaces sizes \
+             of rollouts and updates and the device. `iwol config` prints what a run would use and where each value comes from.\n\n## The run\n",
         );
         let steering = flatten(&STEERING.table());
         let run: Vec<Setting> = settings(&SCHEMA).filter(|setting| !setting.is_group()).collect();

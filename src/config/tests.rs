@@ -188,13 +188,17 @@ fn presets_lie_between_defaults_and_files() {
 fn profiles_give_sizes_below_presets_and_files() {
     let of = |text: &str, sets: &[&str]| resolve(text, sets).unwrap();
     let sizes = |c: &Config| (c.train.envs, c.learner.ppo.minibatch, c.learner.ppo.shards);
+    let rate = |c: &Config| c.learner.ppo.learning_rate;
     let laptop = of("", &[]);
     assert_eq!(of("profile = 'laptop'", &[]), laptop, "the same on every machine");
     let (envs, minibatch, _) = sizes(&laptop);
     let station = of("profile = 'workstation'", &[]);
-    assert_eq!(sizes(&station), (4 * envs, 4 * minibatch, 16));
+    assert_eq!(sizes(&station), (envs, minibatch, 8));
+    assert_eq!(rate(&station), rate(&laptop));
     let gpu = of("", &["profile=gpu"]);
-    assert_eq!((sizes(&gpu).1, gpu.device), (16 * minibatch, ComputeDevice::Cuda(0)));
+    assert_eq!((sizes(&gpu), gpu.device), ((4 * envs, 4 * minibatch, 1), ComputeDevice::Cuda(0)));
+    assert_eq!(4 * gpu.train.rollout_steps, laptop.train.rollout_steps);
+    assert_eq!(rate(&gpu), 2.0 * rate(&laptop));
     let given = "profile = 'workstation'\ntrain.envs = 3\nppo.shards = 5\nppo.minibatch = 300";
     assert_eq!(sizes(&of(given, &[])), (3, 300, 5));
     // A preset is for a purpose, whatever the machine; parts of its minibatches are not too small.
@@ -206,7 +210,7 @@ fn profiles_give_sizes_below_presets_and_files() {
     layers.profile = Profile::named("workstation");
     let resolved = layers.resolve().unwrap();
     assert_eq!(resolved.config, station);
-    assert_eq!(resolved.origins["train.envs"].to_string(), "profile workstation");
+    assert_eq!(resolved.origins["ppo.shards"].to_string(), "profile workstation");
     assert!(resolved.explained().starts_with("# profile workstation (for 8 cores or more)\n"));
     layers.sets.push("profile=laptop".to_owned());
     assert_eq!(Config::resolve(&layers).unwrap().0, laptop);
