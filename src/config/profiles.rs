@@ -64,7 +64,7 @@ impl Profile {
         let cores = std::thread::available_parallelism().map_or(1, usize::from);
         let [laptop, workstation, gpu] = &PROFILES;
         match () {
-            () if tch::Cuda::is_available() => gpu,
+            () if gpu.device.find().is_ok() => gpu,
             () if cores >= WORKSTATION_CORES => workstation,
             () => laptop,
         }

@@ -198,9 +198,10 @@ fn modules_import_only_what_they_may() {
 /// Learners and evaluations work in any environment: they know nothing of vehicles or of SUMO.
 #[test]
 fn learners_know_no_vehicles() {
-    const ANY: [&str; 16] = [
+    const ANY: [&str; 19] = [
         "ActionDimension",
         "ActionSpace",
+        "Backdrop",
         "DrivingRecord",
         "EnvSpec",
         "Environment",
@@ -211,8 +212,10 @@ fn learners_know_no_vehicles() {
         "Frame",
         "Group",
         "OwnMetric",
+        "Picture",
         "Stream",
         "WorldState",
+        "WorldView",
         "Worlds",
         "self",
     ];
