@@ -61,28 +61,28 @@ impl Values {
             values.preset(&STEERING);
         }
         let rule = Origin::Rule;
-        values.follow(rule("number of agents"), |config| config.follow_agents(agents, steers));
+        values.follow(&rule("number of agents"), |config| config.follow_agents(agents, steers));
         if file.is_some_and(|file| file.scenario.agents.come_from_files()) {
             // A vehicle that is on the road at the horizon of an open-ended flow is not late.
-            values.follow(rule("agents from route files"), |config| {
+            values.follow(&rule("agents from route files"), |config| {
                 config.train.bootstrap_horizon = true;
             });
         }
         if spec.is_some_and(|spec| spec.actions.choices().is_some()) {
             // There is no noise to follow, and nothing else keeps the policy exploring.
-            values.follow(rule("discrete actions"), |config| {
+            values.follow(&rule("discrete actions"), |config| {
                 config.learner.ppo.entropy_coefficient = ENTROPY_OF_CHOICES;
                 config.learner.ppo.learning_rate_follows_noise = false;
             });
         }
-        values.follow(rule("method"), |config| config.follow_method(algorithm));
+        values.follow(&rule("method"), |config| config.follow_method(algorithm));
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
-            values.follow(rule("init_from"), |config| {
+            values.follow(&rule("init_from"), |config| {
                 config.learner.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }
-        values.follow(Origin::Profile(profile.name), |config| config.follow_profile(profile));
+        values.follow(&Origin::Profile(profile.name), |config| config.follow_profile(profile));
         values
     }
 }

@@ -294,7 +294,7 @@ impl Layers {
         }
 
         if !matches!(values.origins["ppo.shards"], Origin::Given(_)) {
-            values.follow(Origin::Rule("minibatch"), Config::follow_minibatch);
+            values.follow(&Origin::Rule("minibatch"), Config::follow_minibatch);
         }
         let Values { table, origins } = values;
         let wrong = |keys: &[&str], allowed: &str| {

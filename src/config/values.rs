@@ -29,7 +29,7 @@ impl Values {
     }
 
     /// Applies a rule and notes `origin` as the origin of what it changes.
-    pub(super) fn follow(&mut self, origin: Origin, change: impl FnOnce(&mut Config)) {
+    pub(super) fn follow(&mut self, origin: &Origin, change: impl FnOnce(&mut Config)) {
         let mut config: Config = self.table.clone().try_into().expect("defaults are valid");
         change(&mut config);
         let was = flatten(&self.table);

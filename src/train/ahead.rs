@@ -30,15 +30,12 @@ impl Ahead {
         checkpoint: Option<&Checkpoint>,
     ) -> Result<Self, Error> {
         let stored = checkpoint.and_then(|checkpoint| checkpoint.player.as_ref());
-        let log_std = match stored {
-            Some(stored) => {
-                player.load(&stored.learner)?;
-                stored.log_std
-            }
-            None => {
-                player.load(&trainer.learner.state())?;
-                trainer.log_std()
-            }
+        let log_std = if let Some(stored) = stored {
+            player.load(&stored.learner)?;
+            stored.log_std
+        } else {
+            player.load(&trainer.learner.state())?;
+            trainer.log_std()
         };
         let rollout = trainer.rollout.clone();
         Ok(Self { player, log_std, mark: trainer.collector.mark(), rollout, is_played: false })
