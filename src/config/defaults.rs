@@ -40,13 +40,15 @@ impl Setting<'_> {
 
 impl Values {
     /// Returns the defaults for `algorithm` with `agents` agents on a machine of this `profile`;
-    /// `trained`: training starts from a trained policy.
+    /// `trained`: training starts from a trained policy. `purpose`: a preset is taken over next, for
+    /// which the profile must not change sizes.
     pub(super) fn defaults(
         setting: Setting<'_>,
         algorithm: &str,
         agents: u32,
         trained: bool,
         profile: &Profile,
+        purpose: bool,
     ) -> Self {
         let (file, spec) = match setting {
             Setting::Scenario(file) => (Some(file), None),
@@ -82,7 +84,12 @@ impl Values {
                 config.learner.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }
-        values.follow(&Origin::Profile(profile.name), |config| config.follow_profile(profile));
+        values.follow(&Origin::Profile(profile.name), |config| {
+            config.use_cores(profile);
+            if !purpose {
+                config.use_sizes(profile);
+            }
+        });
         values
     }
 }

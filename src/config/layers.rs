@@ -270,6 +270,7 @@ impl Layers {
             given.unwrap_or(setting.agents()),
             word("init_from").is_some_and(|from| !from.is_empty()),
             self.profile(parsed),
+            preset.is_some(),
         );
         if let Some(preset) = preset {
             values.preset(preset);

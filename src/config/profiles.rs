@@ -8,7 +8,8 @@ use super::Config;
 use crate::algo::ComputeDevice;
 
 /// Sizes with which a kind of machine is busy. They replace defaults; presets, files, `--set` and
-/// flags override them.
+/// flags override them. Together with a named preset, which is for a purpose on any machine, only
+/// the device and the shards count.
 #[derive(Debug)]
 pub struct Profile {
     /// Name on the command line and in files.
@@ -72,16 +73,20 @@ impl Profile {
 }
 
 impl Config {
-    /// Takes over the sizes of a profile.
-    pub(super) fn follow_profile(&mut self, profile: &Profile) {
+    /// Takes over a profile's device and number of shards.
+    pub(super) fn use_cores(&mut self, profile: &Profile) {
+        self.learner.ppo.shards = profile.shards;
+        self.device = profile.device;
+    }
+
+    /// Takes over a profile's sizes.
+    pub(super) fn use_sizes(&mut self, profile: &Profile) {
         let scale = profile.scale as usize;
         self.train.envs *= scale;
         self.train.rollout_steps /= scale;
         let ppo = &mut self.learner.ppo;
         ppo.minibatch *= scale;
         ppo.learning_rate *= f64::from(profile.scale).sqrt();
-        ppo.shards = profile.shards;
-        self.device = profile.device;
     }
 
     /// Leaves out shards for which a minibatch has too few samples.

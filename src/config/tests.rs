@@ -5,6 +5,7 @@ use std::path::Path;
 use toml::Value;
 
 use super::{Config, Document, Error, Layers, Origin, PRESETS, Profile, Train, changes, flatten};
+use crate::algo::settings::Ppo;
 use crate::algo::{ComputeDevice, settings};
 use crate::scenario::Scenario;
 
@@ -204,6 +205,11 @@ fn profiles_give_sizes_below_presets_and_files() {
     // A preset is for a purpose, whatever the machine; parts of its minibatches are not too small.
     let paper = of("profile = 'workstation'\npreset = 'paper'", &["ppo.minibatch=1300"]);
     assert_eq!(sizes(&paper), (16, 1300, 5));
+    let learns = |c: &Config| (c.train.clone(), Ppo { shards: 1, ..c.learner.ppo.clone() });
+    for preset in &PRESETS {
+        let on = |profile: &str| of("", &[&format!("preset={}", preset.name), profile]);
+        assert_eq!(learns(&on("profile=gpu")), learns(&on("profile=laptop")), "{}", preset.name);
+    }
     assert_eq!(of("", &["ppo.minibatch=100"]).learner.ppo.shards, 1);
     // The machine counts only where no layer names a profile.
     let mut layers = layers_on("intersection", "", &[]);
