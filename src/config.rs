@@ -1,5 +1,5 @@
-//! Settings of a run: defaults < profile < preset < `--config file.toml` < `--set key=value` < flags, checked
-//! key by key.
+//! Settings of a run: defaults < profile < preset < `--config file.toml` < `--set key=value` < flags,
+//! checked key by key.
 //!
 //! A setting is declared once, as a field of the struct of its group: documentation, default and
 //! range. The scenario's numbers, words and flags are declared in the schema of scenario files, and

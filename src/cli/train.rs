@@ -22,8 +22,8 @@ use crate::words::counted;
 use super::config::SettingsArgs;
 use super::{Verdict, program};
 
-/// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags. The resolved
-/// settings are stored in the run folder; `iwol config` prints them without training.
+/// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags.
+/// The resolved settings are stored in the run folder; `iwol config` prints them without training.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
