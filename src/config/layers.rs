@@ -325,7 +325,7 @@ impl Layers {
         Ok((config, origins))
     }
 
-    /// Returns the profile that the layers name, or else the one for this machine.
+    /// Returns the profile that the layers name, or else the one for layers that name none.
     fn profile(&self, document: &DeTable<'_>) -> &'static Profile {
         let named = self.word(document, "profile").and_then(|name| Profile::named(&name));
         named.or(self.profile).unwrap_or(&PROFILES[0])
