@@ -2,11 +2,12 @@
 //! over a rollout, on as many threads as minibatches have shards.
 //!
 //! Every shard has a copy of the networks. The copies share their weights and have gradients of
-//! their own, which are added up before a step. All cores are busy in forward and backward passes
-//! without a thread pool inside libtorch, and the result depends on the number of shards alone, not
-//! on the machine.
+//! their own, which are added up before a step. The decisions of a rollout are divided among the
+//! copies as well, by worlds. All cores are busy in forward and backward passes without a thread
+//! pool inside libtorch, and the result depends on the number of shards alone, not on the machine.
 
-use std::sync::Arc;
+use std::ops::Range;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
@@ -28,13 +29,19 @@ use crate::ranks::{self, Ranks};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
+/// Returns a copy of the networks, for this thread alone.
+fn locked<N>(copy: &Mutex<N>) -> MutexGuard<'_, N> {
+    copy.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// Named numbers of a minibatch or of a part of one.
 type Report = Vec<(&'static str, f64)>;
 
 /// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
-    /// One copy of the networks for each of this rank's shards.
-    copies: Vec<N>,
+    /// One copy of the networks for each of this rank's shards. Tensors must not be used by two
+    /// threads at once, so that each copy has a lock; each thread has its own copy and never waits.
+    copies: Vec<Mutex<N>>,
     ranks: Arc<dyn Ranks>,
     /// Number of shards of all ranks.
     shards: usize,
@@ -65,14 +72,14 @@ impl<N: Networks> ActorCritic<N> {
         };
         let (networks, builder) = build();
         let mut weights = Weights::new(builder, settings.ppo.average > 0.0);
-        let mut copies = vec![networks];
+        let mut copies = vec![Mutex::new(networks)];
         // A GPU works on one shard at a time, so that a second one would bring nothing.
         let shards = if device.is_cuda() { ranks.size() } else { settings.ppo.shards.max(1) };
         let own = ranks::part(&*ranks, shards).len().max(1);
         for _ in 1..own {
             let (networks, builder) = build();
             builder.replicate(&mut weights);
-            copies.push(networks);
+            copies.push(Mutex::new(networks));
         }
         let threads =
             rayon::ThreadPoolBuilder::new().num_threads(own).thread_name(|k| format!("shard{k}"));
@@ -95,35 +102,45 @@ impl<N: Networks> ActorCritic<N> {
     /// Applies `work` in parallel to each item, each with its own copy of the networks. Returns the
     /// results in order.
     fn parallel<T: Send, R: Send>(
-        &mut self,
+        &self,
         items: Vec<T>,
         work: impl Fn(&N, T) -> R + Sync,
     ) -> Vec<R> {
-        let pairs = self.copies.iter_mut().zip(items);
+        let pairs = self.copies.iter().zip(items);
+        let work = |(copy, item): (&Mutex<N>, T)| work(&locked(copy), item);
         match &self.pool {
-            None => pairs.map(|(networks, item)| work(networks, item)).collect(),
+            None => pairs.map(work).collect(),
             Some(pool) => {
                 let pairs: Vec<_> = pairs.collect();
-                pool.install(|| {
-                    pairs.into_par_iter().map(|(networks, item)| work(networks, item)).collect()
-                })
+                pool.install(|| pairs.into_par_iter().map(work).collect())
             }
         }
+    }
+
+    /// Returns the first copy of the networks.
+    fn networks(&self) -> MutexGuard<'_, N> {
+        locked(&self.copies[0])
+    }
+
+    /// Divides worlds among the shards of all ranks: consecutive ones, about as many for each.
+    fn divided(&self, envs: i64) -> Vec<Range<i64>> {
+        let share = (envs as usize).div_ceil(self.shards).max(1);
+        let firsts = (0..envs).step_by(share);
+        firsts.map(|first| first..envs.min(first + share as i64)).collect()
     }
 
     /// Returns the values (normalised) of all rows, `[(T + 1) · E, N]`, and writes the value
     /// function's memory before each row into `batch`.
     fn values(&mut self, batch: &mut Batch, rollout: &Rollout) -> Tensor {
         let (steps, envs) = (rollout.sizes.steps as i64, rollout.sizes.envs as i64);
-        let (agents, width) = (rollout.sizes.agents as i64, self.copies[0].critic().memory());
+        let (agents, width) = (rollout.sizes.agents as i64, self.networks().critic().memory());
         let carried = self.critic_memory.take();
         let carried = carried
             .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
-        let share = (envs as usize).div_ceil(self.shards) as i64;
-        let parts: Vec<_> = (0..envs)
-            .step_by(share as usize)
-            .map(|first| {
-                let count = share.min(envs - first);
+        let divided = self.divided(envs).into_iter();
+        let parts: Vec<_> = divided
+            .map(|worlds| {
+                let (first, count) = (worlds.start, worlds.end - worlds.start);
                 let memory = carried
                     .view([envs, agents, width])
                     .narrow(0, first, count)
@@ -194,7 +211,7 @@ impl<N: Networks> ActorCritic<N> {
     /// Adds up the reports of all ranks' shards, in their order.
     fn gather_reports(&self, own: &[Report]) -> Report {
         let values: Vec<f64> = own.iter().flatten().map(|(_, value)| *value).collect();
-        let all = ranks::gather_doubles(&*self.ranks, &values);
+        let all = ranks::gather_numbers(&*self.ranks, &values);
         // A rank without a shard in this minibatch does not know the names; the first rank does.
         let Some(first) = own.first() else { return Report::new() };
         let mut sums = vec![0.0; first.len()];
@@ -244,27 +261,49 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
     }
 
     fn memory(&self) -> usize {
-        self.copies[0].memory() as usize
+        self.networks().memory() as usize
     }
 
     fn training_memory(&self) -> usize {
-        self.memory() + self.copies[0].radio().map_or(0, |radio| radio.memory() as usize)
+        self.memory() + self.networks().radio().map_or(0, |radio| radio.memory() as usize)
     }
 
     fn graph_noise(&self, agents: usize) -> usize {
-        self.copies[0].graph_noise(agents as i64) as usize
+        self.networks().graph_noise(agents as i64) as usize
     }
 
     fn graph_lasts(&self) -> bool {
         N::GRAPH_LASTS
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
-        act_on(self.device, input, mode, |input, mode| self.copies[0].act(input, mode))
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
+        let device = self.device;
+        let decide = |networks: &N, input: &Observation, mode: &ActMode| {
+            act_on(device, input, mode, |input, mode| networks.act(input, mode))
+        };
+        let ActMode::Sample { action, .. } = mode else {
+            // The results of evaluations do not depend on the shards.
+            return decide(&self.networks(), input, mode);
+        };
+        let (envs, agents, actions) = action.size3().expect("[E, N, A]");
+        let worlds = self.divided(envs);
+        if worlds.len() == 1 {
+            return decide(&self.networks(), input, mode);
+        }
+        let parts = worlds.iter().map(|worlds| (input.of(worlds), mode.of(worlds))).collect();
+        let parts = self.parallel(self.own(parts), |networks, (input, mode)| {
+            decide(networks, &input, &mode).joined()
+        });
+        let memory = input.memory.size()[2];
+        let shape =
+            |worlds: &Range<i64>| vec![worlds.end - worlds.start, agents, 2 * actions + memory];
+        let shapes: Vec<Vec<i64>> = worlds.iter().map(shape).collect();
+        let joined = Tensor::cat(&self.gather(parts, &shapes), 0).to_device(Device::Cpu);
+        Decision::parted(&joined, memory)
     }
 
     fn message_width(&self) -> usize {
-        self.copies[0].message_width() as usize
+        self.networks().message_width() as usize
     }
 
     fn act_through(
@@ -274,12 +313,12 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         noise: &ChannelNoise,
     ) -> Decision {
         let (input, noise) = (input.to(self.device), noise.to(self.device));
-        no_grad(|| self.copies[0].act_through(&input, channel, &noise)).to(Device::Cpu)
+        no_grad(|| self.networks().act_through(&input, channel, &noise)).to(Device::Cpu)
     }
 
     fn inspect(&self, input: &Observation, state: &Tensor) -> Diagnostics {
         let (input, state) = (input.to(self.device), state.to_device(self.device));
-        let networks = &self.copies[0];
+        let networks = self.networks();
         let (value, graph) =
             no_grad(|| (networks.critic().value(&input, &state), networks.graph(&input)));
         Diagnostics {
@@ -290,7 +329,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
 
     fn reconstruct(&self, input: &Observation, state: &Tensor) -> Vec<Reconstruction> {
         let (input, state) = (input.to(self.device), state.to_device(self.device));
-        let all = no_grad(|| self.copies[0].reconstruct(&input, &state));
+        let all = no_grad(|| self.networks().reconstruct(&input, &state));
         all.iter().map(|one| one.to(Device::Cpu)).collect()
     }
 
@@ -303,14 +342,14 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let mut settings = self.settings.clone();
         settings.ppo.entropy_coefficient = parameters.entropy_coefficient;
         let (ppo, network) = (&settings.ppo, &settings.network);
-        let length = if self.copies[0].is_recurrent() { network.chunk_length } else { 1 };
+        let length = if self.networks().is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.
         let imposed =
             rollout.sizes.graph_noise > 0 && self.settings.exploration.mode == NoiseMode::Schedule;
         let scale = if imposed { parameters.log_std.exp() } else { 1.0 };
-        let width = self.copies[0].critic().graph_noise(rollout.sizes.agents as i64);
+        let width = self.networks().critic().graph_noise(rollout.sizes.agents as i64);
         if width > 0 {
             batch.value_graph =
                 graph_noise(rollout, width, scale, self.device, seed.child("graph"));
@@ -329,11 +368,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             }
             self.passes += 1;
         }
-        let head = self.copies[0].head();
-        head.impose(parameters.log_std);
+        self.networks().head().impose(parameters.log_std);
         self.weights.follow_average(ppo.average);
         let mut more = vec![("ppo/explained_variance", batch.explained_variance)];
-        more.extend(head.std().map(|std| ("ppo/std", std)));
+        more.extend(self.networks().head().std().map(|std| ("ppo/std", std)));
         more.push(("ppo/learning_rate", parameters.learning_rate));
         means.finish(&more)
     }

@@ -38,13 +38,13 @@ impl CategoricalHead {
         &self,
         x: &Tensor,
         available: &Tensor,
-        mode: &ActMode<'_>,
+        mode: &ActMode,
     ) -> (Tensor, Tensor) {
         let log_probs = self.log_probs(x, available);
         let choice = match mode {
             ActMode::Deterministic => log_probs.argmax(-1, true),
             ActMode::Sample { action: noise, .. } => {
-                let quantile = (((*noise / SQRT_2).erf() + 1.0) * 0.5).clamp_min(1e-7);
+                let quantile = (((noise / SQRT_2).erf() + 1.0) * 0.5).clamp_min(1e-7);
                 let sums = log_probs.exp().cumsum(-1, Kind::Float);
                 // The last sum is 1 but for rounding.
                 let sums = &sums / sums.narrow(-1, self.choices - 1, 1);
@@ -99,8 +99,7 @@ mod tests {
         (noise[0], noise[1]) = (-9.0, 9.0);
         let noise = Tensor::from_slice(&noise).view([1, draws, 1]);
         let (carried, graph) = (Tensor::zeros([0], CPU), Tensor::zeros([0], CPU));
-        let mode =
-            ActMode::Sample { action: &noise, carried: &carried, graph: &graph, log_fresh: 0.0 };
+        let mode = ActMode::Sample { action: noise, carried, graph, log_fresh: 0.0 };
         let (choice, log_prob) = head.sample(&x, &open, &mode);
         let wanted = head.log_probs(&x, &open).get(0).get(0).exp();
         assert_eq!(wanted.double_value(&[0]), 0.0);

@@ -182,7 +182,7 @@ impl Networks for CommFormer {
         self
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         self.sequence.act(input, self.represent(&Scene::of(input, mode.graph_noise())), mode)
     }
 

@@ -1,5 +1,7 @@
 //! Inputs and outputs of a policy at one decision of E worlds with N agent slots each.
 
+use std::ops::Range;
+
 use tch::{Device, Kind, Tensor};
 
 use crate::rollout::Rollout;
@@ -65,6 +67,11 @@ impl Observation {
         self.map(|tensor| tensor.to_device(device))
     }
 
+    /// Returns the input of these worlds.
+    pub(super) fn of(&self, worlds: &Range<i64>) -> Self {
+        self.map(|tensor| narrowed(tensor, worlds))
+    }
+
     fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
         Self {
             observation: change(&self.observation),
@@ -79,33 +86,62 @@ impl Observation {
 
 /// How actions are chosen.
 #[derive(Debug)]
-pub enum ActMode<'a> {
+pub enum ActMode {
     /// The mean action, with the most likely communication graph.
     Deterministic,
     /// A sample from noise that the caller provides, so that the caller owns all randomness.
     Sample {
         /// Standard normal noise, `[E, N, A]`.
-        action: &'a Tensor,
+        action: Tensor,
         /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
         /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
-        carried: &'a Tensor,
+        carried: Tensor,
         /// Noise of the graphs, standard logistic times the noise scale, `[E, N, ..]`; empty for
         /// policies without a graph.
-        graph: &'a Tensor,
+        graph: Tensor,
         /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
         /// independent from step to step.
         log_fresh: f64,
     },
 }
 
-impl ActMode<'_> {
+impl ActMode {
     /// Returns the noise of the graphs; `None` for the most likely graphs.
     pub fn graph_noise(&self) -> Option<&Tensor> {
         match self {
             Self::Deterministic => None,
-            Self::Sample { graph, .. } => Some(*graph),
+            Self::Sample { graph, .. } => Some(graph),
         }
     }
+
+    pub(super) fn to(&self, device: Device) -> Self {
+        self.map(|tensor| tensor.to_device(device))
+    }
+
+    /// Returns the mode, with the noise of these worlds.
+    pub(super) fn of(&self, worlds: &Range<i64>) -> Self {
+        self.map(|tensor| narrowed(tensor, worlds))
+    }
+
+    fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
+        match self {
+            Self::Deterministic => Self::Deterministic,
+            Self::Sample { action, carried, graph, log_fresh } => Self::Sample {
+                action: change(action),
+                carried: change(carried),
+                graph: change(graph),
+                log_fresh: *log_fresh,
+            },
+        }
+    }
+}
+
+/// Returns these worlds' part of a tensor `[E, ..]`, and an empty tensor as it is.
+fn narrowed(tensor: &Tensor, worlds: &Range<i64>) -> Tensor {
+    if tensor.size()[0] == 0 {
+        return tensor.shallow_clone();
+    }
+    tensor.narrow(0, worlds.start, worlds.end - worlds.start)
 }
 
 /// The output of a policy at one decision.
@@ -125,6 +161,22 @@ impl Decision {
             action: self.action.to_device(device),
             log_prob: self.log_prob.to_device(device),
             memory: self.memory.to_device(device),
+        }
+    }
+
+    /// Returns action, log-probability and memory side by side, `[E, N, 2 A + M]`.
+    pub(super) fn joined(&self) -> Tensor {
+        Tensor::cat(&[&self.action, &self.log_prob, &self.memory], -1)
+    }
+
+    /// Returns the decision from what [`Decision::joined`] returned; its memory is `memory` wide.
+    pub(super) fn parted(joined: &Tensor, memory: i64) -> Self {
+        let (whole, actions) = (joined.size()[2], (joined.size()[2] - memory) / 2);
+        let part = |first, width| joined.narrow(-1, first, width).contiguous();
+        Self {
+            action: part(0, actions),
+            log_prob: part(actions, actions),
+            memory: part(whole - memory, memory),
         }
     }
 }

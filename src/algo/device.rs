@@ -74,23 +74,13 @@ pub struct NoDevice {
 pub(super) fn act_on(
     device: Device,
     input: &Observation,
-    mode: &ActMode<'_>,
-    act: impl Fn(&Observation, &ActMode<'_>) -> Decision,
+    mode: &ActMode,
+    act: impl Fn(&Observation, &ActMode) -> Decision,
 ) -> Decision {
     no_grad(|| {
         if device == Device::Cpu {
             return act(input, mode);
         }
-        let input = input.to(device);
-        let decision = match mode {
-            ActMode::Deterministic => act(&input, mode),
-            ActMode::Sample { action, carried, graph, log_fresh } => {
-                let [action, carried, graph] =
-                    [action, carried, graph].map(|t| t.to_device(device));
-                let (action, carried, graph) = (&action, &carried, &graph);
-                act(&input, &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh })
-            }
-        };
-        decision.to(Device::Cpu)
+        act(&input.to(device), &mode.to(device)).to(Device::Cpu)
     })
 }

@@ -95,7 +95,7 @@ impl Networks for ExIwol {
         self.radio.as_ref()
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let radio = Radio::in_use(self.radio.as_ref(), mode);
         let messages = self.trunk.forward(&Scene::of(input, mode.graph_noise()), radio);
         let read =

@@ -142,13 +142,13 @@ impl GaussianHead {
     }
 
     /// Returns actions and the log-probabilities of their dimensions, both `[E, N, A]`.
-    pub(super) fn sample(&self, x: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
+    pub(super) fn sample(&self, x: &Tensor, mode: &ActMode) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
         let (mean, action, log_std) = match mode {
             ActMode::Sample { action: noise, carried, log_fresh, .. } => {
                 let mean = shifted(&mean, &log_std, carried);
                 let log_std = log_std + *log_fresh;
-                let action = &mean + log_std.exp() * *noise;
+                let action = &mean + log_std.exp() * noise;
                 (mean, action, log_std)
             }
             ActMode::Deterministic => (mean.shallow_clone(), mean, log_std),

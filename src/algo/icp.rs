@@ -219,7 +219,7 @@ impl<D: Decomposition> Networks for Icp<D> {
         self
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let (x, memory) = self.read(input);
         let (f, after) = encode_rows(&self.encoder, &x, &memory, &input.keep(), 1);
         let after = after.map_or_else(|| memory.shallow_clone(), |after| after.view_as(&memory));

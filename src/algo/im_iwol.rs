@@ -147,7 +147,7 @@ impl Networks for ImIwol {
         &self.critic
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let (f, memory) = encode_locally(&self.policy.encoder, input);
         let (action, log_prob) =
             self.policy.head.sample(&self.policy.read(&f).1, &input.available, mode);

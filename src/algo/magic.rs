@@ -185,7 +185,7 @@ impl Networks for Magic {
         &self.critic
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let radio = Radio::in_use(self.radio.as_ref(), mode);
         let Messages { message, embedding, packing, memory, .. } =
             self.exchange(&Scene::of(input, mode.graph_noise()), radio);

@@ -54,7 +54,7 @@ impl Networks for Mappo {
         &self.critic
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let (f, memory) = encode_locally(&self.encoder, input);
         let (action, log_prob) = self.head.sample(&f, &input.available, mode);
         Decision { action, log_prob, memory }

@@ -98,7 +98,7 @@ impl Networks for Mat {
         self
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         self.sequence.act(input, self.represent(&Scene::of(input, None)), mode)
     }
 

@@ -303,7 +303,7 @@ pub trait Algorithm: Send {
     }
 
     /// Chooses actions, without gradients and without changing the learner.
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision;
 
     /// Returns the width of the messages that agents send at run time; 0 for methods without
     /// messages.

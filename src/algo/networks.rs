@@ -81,7 +81,7 @@ pub trait Networks: Sized + Send {
     fn critic(&self) -> &dyn ValueFunction;
 
     /// Chooses actions.
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision;
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision;
 
     /// Returns the width of the messages that agents send at run time; 0 for methods without
     /// messages.

@@ -60,7 +60,7 @@ impl PolicyHead {
     /// Returns actions `[E, N, A]` and the log-probabilities of their dimensions, `[E, N, A]`, from
     /// what the policy reads, `[E, N, W]`. `available [E, N, K]` is 1 where a choice is open; empty
     /// where all are.
-    pub fn sample(&self, x: &Tensor, available: &Tensor, mode: &ActMode<'_>) -> (Tensor, Tensor) {
+    pub fn sample(&self, x: &Tensor, available: &Tensor, mode: &ActMode) -> (Tensor, Tensor) {
         match self {
             Self::Gaussian(head) => head.sample(x, mode),
             Self::Categorical(head) => head.sample(x, available, mode),

@@ -57,7 +57,7 @@ impl Radio {
     }
 
     /// Returns the radio if messages pass through it in a decision: while a policy explores.
-    pub(super) fn in_use<'a>(radio: Option<&'a Self>, mode: &ActMode<'_>) -> Option<&'a Self> {
+    pub(super) fn in_use<'a>(radio: Option<&'a Self>, mode: &ActMode) -> Option<&'a Self> {
         radio.filter(|_| matches!(mode, ActMode::Sample { .. }))
     }
 

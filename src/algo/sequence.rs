@@ -215,12 +215,7 @@ impl Sequence {
     }
 
     /// Decides agent by agent in all environments at once.
-    pub(super) fn act(
-        &self,
-        input: &Observation,
-        known: Represented,
-        mode: &ActMode<'_>,
-    ) -> Decision {
+    pub(super) fn act(&self, input: &Observation, known: Represented, mode: &ActMode) -> Decision {
         let Represented { representation, order, memory, .. } = known;
         let (mut actions, mut log_probs, mut decoded) =
             (Vec::new(), Vec::new(), Decoded::default());
@@ -245,12 +240,9 @@ impl Sequence {
                 ActMode::Sample { action, carried, graph, log_fresh } => {
                     let carried =
                         if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
-                    let (action, carried) = (&of(action), &carried);
-                    self.head.sample(
-                        &read,
-                        &available,
-                        &ActMode::Sample { action, carried, graph, log_fresh: *log_fresh },
-                    )
+                    let (graph, log_fresh) = (graph.shallow_clone(), *log_fresh);
+                    let mode = ActMode::Sample { action: of(action), carried, graph, log_fresh };
+                    self.head.sample(&read, &available, &mode)
                 }
             };
             last = self.head.encoded(&action).where_self(&of(&order.present).unsqueeze(-1), &last);

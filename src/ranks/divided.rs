@@ -4,7 +4,7 @@ use std::path::Path;
 use std::sync::atomic::Ordering;
 
 use super::message::{Place, Told, decoded, encoded};
-use super::{Team, gather_doubles, part, part_of};
+use super::{Team, gather_numbers, part, part_of};
 use crate::env::{
     Backdrop, EnvSpec, Environment, EpisodeRecord, Error, Frame, Picture, Stream, WorldState,
     WorldView, Worlds,
@@ -171,7 +171,7 @@ impl Worlds for All {
     fn counters(&self) -> Vec<(&'static str, f64)> {
         let own = self.own.as_ref().map(|own| own.counters()).unwrap_or_default();
         let values: Vec<f64> = own.iter().map(|(_, value)| *value).collect();
-        let all = gather_doubles(&*self.team.ranks, &values);
+        let all = gather_numbers(&*self.team.ranks, &values);
         let sum = |k: usize| all.iter().skip(k).step_by(own.len()).sum();
         own.iter().enumerate().map(|(k, (name, _))| (*name, sum(k))).collect()
     }

@@ -74,7 +74,7 @@ pub(super) fn encoded(mut told: Told, worlds: &dyn Worlds) -> Vec<u8> {
         let mut frame = view.frame.clone();
         for (array, length) in arrays(&mut frame).into_iter().zip(&mut told.lengths) {
             *length = array.len();
-            numbers.extend(array.iter().flat_map(|number| number.to_ne_bytes()));
+            numbers.extend_from_slice(bytemuck::cast_slice(array));
         }
     }
     let mut first = Vec::new();
@@ -89,20 +89,17 @@ pub(super) fn decoded(bytes: &[u8], frames: &mut [Frame]) -> Told {
     let length = u64::from_ne_bytes(length.try_into().expect("eight bytes")) as usize;
     let (first, rest) = rest.split_at(length);
     let told: Told = ciborium::from_reader(first).expect("a message of this program");
-    let mut numbers = numbers(rest);
+    // A copy, because the bytes may begin at any address.
+    let numbers: Vec<f32> = bytemuck::allocation::pod_collect_to_vec(rest);
+    let mut rest = &numbers[..];
     for (frame, place) in frames.iter_mut().zip(&told.worlds) {
         frame.interrupted = place.interrupted;
         for (array, length) in arrays(frame).into_iter().zip(told.lengths) {
-            array.resize(length, 0.0);
-            for number in array {
-                *number = numbers.next().expect("a number");
-            }
+            let (first, others) = rest.split_at(length);
+            array.clear();
+            array.extend_from_slice(first);
+            rest = others;
         }
     }
     told
-}
-
-/// Returns the numbers in bytes.
-pub(super) fn numbers(bytes: &[u8]) -> impl Iterator<Item = f32> {
-    bytes.chunks_exact(4).map(|four| f32::from_ne_bytes(four.try_into().expect("four bytes")))
 }

@@ -19,6 +19,8 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+use bytemuck::Pod;
+
 pub(crate) use divided::Divided;
 
 /// What connects the processes of one training.
@@ -89,18 +91,11 @@ pub(crate) fn part_of(rank: usize, size: usize, count: usize) -> Range<usize> {
 }
 
 /// Gathers numbers from all ranks, one after the other.
-pub(crate) fn gather_numbers(ranks: &dyn Ranks, own: &[f32]) -> Vec<f32> {
-    let bytes: Vec<u8> = own.iter().flat_map(|number| number.to_ne_bytes()).collect();
-    let all = ranks.all_gather(&bytes);
-    all.iter().flat_map(|bytes| message::numbers(bytes)).collect()
-}
-
-/// Gathers numbers of double precision from all ranks, one after the other.
-pub(crate) fn gather_doubles(ranks: &dyn Ranks, own: &[f64]) -> Vec<f64> {
-    let bytes: Vec<u8> = own.iter().flat_map(|number| number.to_ne_bytes()).collect();
-    let all = ranks.all_gather(&bytes);
-    let double = |bytes: &[u8]| f64::from_ne_bytes(bytes.try_into().expect("eight bytes"));
-    all.iter().flat_map(|bytes| bytes.chunks_exact(8).map(double)).collect()
+pub(crate) fn gather_numbers<T: Pod>(ranks: &dyn Ranks, own: &[T]) -> Vec<T> {
+    let all = ranks.all_gather(bytemuck::cast_slice(own));
+    // Copies, because the bytes may begin at any address.
+    let numbers = all.iter().map(|bytes| bytemuck::allocation::pod_collect_to_vec(bytes));
+    numbers.collect::<Vec<Vec<T>>>().concat()
 }
 
 /// The process was started by MPI as one of several, but it cannot work together with the others.

@@ -98,7 +98,6 @@ impl Collector {
                 };
                 let action = Tensor::from_slice(noise.drawn()).view([e, n, a]);
                 let observation = Observation::at(rollout, t, &self.memory);
-                let (action, carried, graph) = (&action, &carried, &graph);
                 policy.act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
             });
             timed(&mut self.timers.copy, || {

@@ -63,10 +63,11 @@ const ALLOWED: [(&str, &[&str]); 30] = [
     ("main", &[]),
 ];
 /// Crates that only some modules may use.
-const CRATES: [(&str, &[&str]); 8] = [
+const CRATES: [(&str, &[&str]); 9] = [
     ("tch", &["nn", "algo", "checkpoint", "evaluate", "train", "cli"]),
     ("rten", &["evaluate"]),
     ("clarabel", &["env"]),
+    ("bytemuck", &["ranks"]),
     ("ciborium", &["ranks"]),
     ("mpi", &["ranks"]),
     ("clap", &["cli"]),

@@ -25,6 +25,7 @@ train*)
     esac
     ;;
 evaluate*--episodes*)
+    case "$*" in *--scenario*) set -- "$@" --set scenario.termination.horizon=80 ;; esac
     # Writes 2 instead of a number above 10, in a round of all arguments.
     set -- "$@" end
     while [ "$1" != end ]; do

@@ -246,7 +246,7 @@ impl Algorithm for Maddpg {
         0
     }
 
-    fn act(&self, input: &Observation, mode: &ActMode<'_>) -> Decision {
+    fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         act_on(self.device, input, mode, |input, mode| {
             let (f, memory) = encode_locally(self.networks.actor.encoder(), input);
             let (action, log_prob) =

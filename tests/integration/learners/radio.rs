@@ -60,8 +60,8 @@ fn training_hears_what_an_evaluation_hears() {
                     replaced: nothing(),
                     available: nothing(),
                 };
-                let (action, carried) = (&zeros(&[2, AGENTS, 1]), &nothing());
-                let graph = &zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
+                let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
+                let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
                 let mode = ActMode::Sample { action, carried, graph, log_fresh: 0.0 };
                 let trained = learner.act(&input(&memory), &mode);
                 let noise = ChannelNoise {

@@ -138,6 +138,31 @@ fn shards_share_one_set_of_weights() {
 
 /// An update without learning finds exactly the log-probabilities that the actions had when they
 /// were chosen, with each environment's noise, graph and memory.
+/// However many shards divide the worlds, decisions are the same but for rounding.
+#[test]
+fn shards_decide_as_one_does() {
+    each(|name, encoder| {
+        let decided = |shards: usize| {
+            let mut settings = small(encoder);
+            settings.ppo.shards = shards;
+            let learner = loud(name, &spec(4), &settings);
+            let mut rollout = random_rollout(&*learner, 4, 3);
+            rollout.carried = vec![0.5; rollout.action.len()];
+            rollout.log_fresh = vec![-0.5; rollout.sizes.steps];
+            decide(&*learner, &mut rollout);
+            [rollout.action, rollout.log_prob, rollout.memory]
+        };
+        let one = decided(1);
+        assert!(one[0].iter().any(|action| *action != 0.0));
+        for shards in [2, 3, 5] {
+            for (a, b) in one.iter().zip(decided(shards)) {
+                let close = a.iter().zip(&b).all(|(a, b)| (a - b).abs() < 1e-3 * (1.0 + a.abs()));
+                assert!(close && a.len() == b.len(), "{name} {encoder:?}, {shards} shards");
+            }
+        }
+    });
+}
+
 #[test]
 fn an_update_sees_the_policy_that_acted() {
     each(|name, encoder| {
@@ -185,7 +210,7 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let correlated = !rollout.carried.is_empty();
         let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
         let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
-        let (action, graph, carried, log_fresh) = (&eps, &graph, &carried, fresh);
+        let (action, graph, carried, log_fresh) = (eps, graph, carried, fresh);
         let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
