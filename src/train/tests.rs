@@ -24,8 +24,9 @@ fn environment() -> Box<dyn Environment> {
 
 fn config(method: &str, more: &[&str]) -> Config {
     let usual = ["train.envs=5", "train.rollout_steps=20", "ppo.minibatch=96", "ppo.shards=3"];
+    let small = ["network.hidden=16", "ppo.epochs=2"];
     let steps = ["steps=600", "train.validate_every=250", "train.validation_episodes=7"];
-    let sets = usual.iter().chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
+    let sets = usual.iter().chain(&small).chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
     let flags = vec![("algorithm", Value::String(method.to_owned()))];
     let layers = Layers { sets, flags, ..Layers::default() };
     layers.for_environment(&*environment()).expect("settings")
@@ -76,10 +77,11 @@ fn trained(size: usize, method: &str, more: &[&str]) -> (Vec<Content>, Vec<Strin
 }
 
 /// Two and three ranks have the weights, worlds and validations of one process with as many shards,
-/// to the bit: with messages, with memories, with sampled graphs and with a replay buffer.
+/// to the bit: with messages, with memories and decisions that are divided, and with sampled graphs.
 #[test]
 fn ranks_train_as_one_process_does() {
     let gru = ["network.encoder=gru", "network.chunk_length=4"];
+    let gru = [&gru[..], &["train.envs=52", "train.rollout_steps=8"]].concat();
     for (method, more) in [("ex-iwol", &[][..]), ("mappo", &gru), ("commformer", &[])] {
         let (alone, validations) = trained(1, method, more);
         assert!(validations.len() >= 14, "{method}: {validations:?}");
