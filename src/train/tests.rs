@@ -26,7 +26,8 @@ fn config(method: &str, more: &[&str]) -> Config {
     let usual = ["train.envs=5", "train.rollout_steps=20", "ppo.minibatch=96", "ppo.shards=3"];
     let small = ["network.hidden=16", "ppo.epochs=2"];
     let steps = ["steps=600", "train.validate_every=250", "train.validation_episodes=7"];
-    let sets = usual.iter().chain(&small).chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
+    let sets =
+        usual.iter().chain(&small).chain(&steps).chain(more).map(|set| (*set).to_owned()).collect();
     let flags = vec![("algorithm", Value::String(method.to_owned()))];
     let layers = Layers { sets, flags, ..Layers::default() };
     layers.for_environment(&*environment()).expect("settings")
