@@ -1,10 +1,10 @@
 //! The processes of one training that runs on several at once, on one machine or on many.
 //!
-//! Every rank has all weights and takes the same decisions. The ranks divide the work: each
-//! simulates a part of the worlds (`divided`) and computes the gradients of a part of a
-//! minibatch's shards. What each has found goes to all others, and is added up in the order of
-//! worlds and shards. So the result depends on the settings alone: it is the same to the bit as that
-//! of one process.
+//! Every rank has all weights, and the same rollouts. The ranks divide the work: each simulates a
+//! part of the worlds (`divided`), decides for a part of them where there are many, and computes the
+//! gradients of a part of a minibatch's shards. What each has found goes to all others, and is added
+//! up in the order of worlds and shards. So the result depends on the settings alone: it is the same
+//! to the bit as that of one process.
 
 #![cfg(feature = "learn")]
 
