@@ -7,6 +7,7 @@ use std::process::Command;
 
 use iwol_sumo::algo::{self, Capabilities};
 use iwol_sumo::scenario::Scenario;
+use rayon::prelude::*;
 use serde_json::Value;
 
 use crate::support::{self, folder, iwol, succeeds};
@@ -42,7 +43,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
     let name = |name: &str| at(name).display().to_string();
-    for algorithm in algo::NAMES {
+    let use_policy = |algorithm: &str| {
         let Capabilities { any_number, latent, .. } = algo::capabilities(algorithm).expect("known");
         // Numbers of vehicles that the policy is used with after training.
         let (more, next_agents) = if any_number { ("16", "5") } else { ("4", "4") };
@@ -94,7 +95,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
 
         // These refusals do not depend on the algorithm, so they are tested once.
         if algorithm != algo::NAMES[0] {
-            continue;
+            return;
         }
         let refusals = [
             (
@@ -176,7 +177,8 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         for (found, expected) in refusals {
             assert!(found.contains(expected), "{found}");
         }
-    }
+    };
+    algo::NAMES.into_par_iter().for_each(use_policy);
 
     // Two seeds form one curve; runs with another observation form another curve.
     text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));

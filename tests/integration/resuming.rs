@@ -9,6 +9,7 @@ use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::driving;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{RunDir, Trainer, TrainingEnd};
+use rayon::prelude::*;
 use tch::{Kind, Tensor};
 
 use crate::support::{INTERSECTION, folder, root};
@@ -74,19 +75,16 @@ fn bits(checkpoint: &Checkpoint) -> Vec<(String, Vec<u64>)> {
 
 /// Returns all methods with the encoder `mlp`, and some with `gru`, or with `attention` and a
 /// disturbed channel.
-fn runs() -> impl Iterator<Item = (&'static str, &'static str)> {
+fn runs() -> Vec<(&'static str, &'static str)> {
     let recurrent = ["im-iwol", "mat"].map(|name| (name, "gru"));
-    algo::NAMES
-        .into_iter()
-        .map(|name| (name, "mlp"))
-        .chain(recurrent)
-        .chain(["im-iwol", "ex-iwol", "magic"].map(|name| (name, "attention")))
+    let attentive = ["im-iwol", "ex-iwol", "magic"].map(|name| (name, "attention"));
+    [&algo::NAMES.map(|name| (name, "mlp"))[..], &recurrent, &attentive].concat()
 }
 
 #[test]
 fn training_is_reproducible_and_resumable_bit_for_bit() {
     let stop = AtomicBool::new(false);
-    for (algorithm, encoder) in runs() {
+    runs().into_par_iter().for_each(|(algorithm, encoder)| {
         // Four iterations in one go. Episodes of at most 60 steps end within rollouts of 40 steps.
         let mut whole = trainer(algorithm, encoder);
         for _ in 0..4 {
@@ -132,7 +130,7 @@ fn training_is_reproducible_and_resumable_bit_for_bit() {
         for (a, b) in a.iter().zip(&b) {
             assert_eq!(a, b, "{algorithm} {encoder}");
         }
-    }
+    });
 }
 
 #[test]

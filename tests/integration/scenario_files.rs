@@ -30,6 +30,7 @@ use iwol_sumo::{
     },
 };
 use proptest::prelude::*;
+use rayon::prelude::*;
 use tch::Device;
 
 use crate::support::{self, INTERSECTION, folder, root};
@@ -222,8 +223,8 @@ fn every_shipped_scenario_survives_its_xml() {
 /// Every shipped scenario passes its check, and every algorithm drives in it for some steps.
 #[test]
 fn every_shipped_scenario_is_for_every_method() {
-    for path in all_shipped() {
-        let checked = Scenario::check(&path);
+    all_shipped().par_iter().for_each(|path| {
+        let checked = Scenario::check(path);
         assert!(
             checked.list.iter().all(|finding| finding.severity != Severity::Error),
             "{:?}",
@@ -255,7 +256,7 @@ fn every_shipped_scenario_is_for_every_method() {
                 "{name} on {path:?}"
             );
         }
-    }
+    });
 }
 
 /// Returns message, causes and hint of the error that the shipped scenario gives when `from` is
