@@ -15,6 +15,7 @@ use iwol_sumo::{
     scenario::Scenario,
     sumo::{Backend, Hosting},
 };
+use rayon::prelude::*;
 use tempfile::TempDir;
 
 pub const INTERSECTION: &str = "scenarios/intersection.xml";
@@ -27,6 +28,14 @@ pub fn root() -> &'static Path {
 /// Creates a temporary folder.
 pub fn folder() -> TempDir {
     tempfile::tempdir().expect("a folder")
+}
+
+/// Applies `work` to all items, on as many threads as there are cores.
+pub fn on_all_cores<T: Send>(items: Vec<T>, work: impl Fn(T) + Sync + Send) {
+    // A test's own threads write what they say into the test's output; those of a common pool would
+    // write into that of another test.
+    let pool = rayon::ThreadPoolBuilder::new().stack_size(8 << 20).build().expect("threads");
+    pool.install(|| items.into_par_iter().for_each(work));
 }
 
 /// Loads the scenario `scenarios/NAME.xml`.

@@ -2,9 +2,9 @@
 //! over a rollout, on as many threads as minibatches have shards.
 //!
 //! Every shard has a copy of the networks. The copies share their weights and have gradients of
-//! their own, which are added up before a step. The decisions of a rollout are divided among the
-//! copies as well, by worlds. All cores are busy in forward and backward passes without a thread
-//! pool inside libtorch, and the result depends on the number of shards alone, not on the machine.
+//! their own, which are added up before a step. Where a step of a rollout has many decisions, each
+//! copy decides for some of the worlds. All cores are busy without a thread pool inside libtorch, and
+//! the result depends on the number of shards, not on the number of cores.
 
 use std::ops::Range;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -29,22 +29,35 @@ use crate::ranks::{self, Ranks};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 
-/// Returns a copy of the networks, for this thread alone.
+/// Locks a copy of the networks for this thread.
 fn locked<N>(copy: &Mutex<N>) -> MutexGuard<'_, N> {
     copy.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// The fewest decisions of a step that are worth another core. On two cores, 64 for each take longer
-/// than 128 on one, 128 take as long as 256 on one, and 192 a tenth less than 384 on one.
+/// A part of a step's decisions (one per world and agent) has at least this many; smaller parts take
+/// longer than they save (docs/lab/speed.md#two-processes).
 const FEWEST_DECISIONS: usize = 128;
+
+/// Returns into how many parts the decisions of a step are divided: at most `most`.
+fn parts_of_decisions(envs: i64, agents: i64, most: usize) -> usize {
+    let least = FEWEST_DECISIONS.div_ceil(agents.max(1) as usize);
+    (envs as usize / least).clamp(1, most)
+}
+
+/// Divides worlds into `parts` ranges of about the same size.
+fn divided(envs: i64, parts: usize) -> Vec<Range<i64>> {
+    let part = |k| ranks::part_of(k, parts, envs as usize);
+    (0..parts).map(part).map(|part| part.start as i64..part.end as i64).collect()
+}
 
 /// Named numbers of a minibatch or of a part of one.
 type Report = Vec<(&'static str, f64)>;
 
 /// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
-    /// One copy of the networks for each of this rank's shards. Tensors must not be used by two
-    /// threads at once, so that each copy has a lock; each thread has its own copy and never waits.
+    /// One copy of the networks for each of this rank's shards. A tensor must not be used by two
+    /// threads at once, so each copy has a lock. Nobody waits for it, because each thread uses a copy
+    /// of its own.
     copies: Vec<Mutex<N>>,
     ranks: Arc<dyn Ranks>,
     /// Number of shards of all ranks.
@@ -110,6 +123,7 @@ impl<N: Networks> ActorCritic<N> {
         items: Vec<T>,
         work: impl Fn(&N, T) -> R + Sync,
     ) -> Vec<R> {
+        assert!(items.len() <= self.copies.len(), "each item needs a copy of the networks");
         let pairs = self.copies.iter().zip(items);
         let work = |(copy, item): (&Mutex<N>, T)| work(&locked(copy), item);
         match &self.pool {
@@ -121,16 +135,10 @@ impl<N: Networks> ActorCritic<N> {
         }
     }
 
-    /// Returns the first copy of the networks.
+    /// Locks the first copy of the networks. Let go of it before [`ActorCritic::parallel`], which
+    /// locks it as well.
     fn networks(&self) -> MutexGuard<'_, N> {
         locked(&self.copies[0])
-    }
-
-    /// Divides worlds into `parts` at most: consecutive ones, about as many for each.
-    fn divided(envs: i64, parts: usize) -> Vec<Range<i64>> {
-        let share = (envs as usize).div_ceil(parts).max(1);
-        let firsts = (0..envs).step_by(share);
-        firsts.map(|first| first..envs.min(first + share as i64)).collect()
     }
 
     /// Returns the values (normalised) of all rows, `[(T + 1) · E, N]`, and writes the value
@@ -141,7 +149,7 @@ impl<N: Networks> ActorCritic<N> {
         let carried = self.critic_memory.take();
         let carried = carried
             .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
-        let divided = Self::divided(envs, self.shards).into_iter();
+        let divided = divided(envs, self.shards.min(envs as usize)).into_iter();
         let parts: Vec<_> = divided
             .map(|worlds| {
                 let (first, count) = (worlds.start, worlds.end - worlds.start);
@@ -184,14 +192,16 @@ impl<N: Networks> ActorCritic<N> {
         Tensor::cat(&values, 1).view([-1, agents])
     }
 
-    /// Returns which of the pieces of work are this rank's. There are at most as many as shards.
+    /// Returns this rank's pieces of the work. There must not be more pieces than shards.
     fn own<T>(&self, all: Vec<T>) -> Vec<T> {
         let (own, count) = (ranks::part(&*self.ranks, self.shards), all.len());
+        assert!(count <= self.shards, "{count} pieces of work for {} shards", self.shards);
         let pieces = all.into_iter().enumerate();
         pieces.filter(|(k, _)| own.contains(&(k * self.shards / count))).map(|(_, it)| it).collect()
     }
 
-    /// Returns the tensors of all shards from this rank's; `shapes` has the shape of each.
+    /// Returns the tensors of all parts, in order, from those that this rank has computed. `shapes`
+    /// has the shape of each.
     fn gather(&self, own: Vec<Tensor>, shapes: &[Vec<i64>]) -> Vec<Tensor> {
         if self.ranks.size() == 1 {
             return own;
@@ -283,12 +293,13 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             act_on(device, input, mode, |input, mode| networks.act(input, mode))
         };
         let ActMode::Sample { action, .. } = mode else {
-            // The results of evaluations do not depend on the shards.
+            // Evaluations are not divided, so that their results do not depend on the shards.
             return decide(&self.networks(), input, mode);
         };
         let (envs, agents, actions) = action.size3().expect("[E, N, A]");
-        let parts = ((envs * agents) as usize / FEWEST_DECISIONS).clamp(1, self.shards);
-        let worlds = Self::divided(envs, parts);
+        // Most of what a GPU needs for a decision is the start of operations.
+        let most = if device.is_cuda() { 1 } else { self.shards };
+        let worlds = divided(envs, parts_of_decisions(envs, agents, most));
         if worlds.len() == 1 {
             return decide(&self.networks(), input, mode);
         }
@@ -300,8 +311,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let shape =
             |worlds: &Range<i64>| vec![worlds.end - worlds.start, agents, 2 * actions + memory];
         let shapes: Vec<Vec<i64>> = worlds.iter().map(shape).collect();
-        let joined = Tensor::cat(&self.gather(parts, &shapes), 0).to_device(Device::Cpu);
-        Decision::parted(&joined, memory)
+        Decision::parted(&Tensor::cat(&self.gather(parts, &shapes), 0), actions)
     }
 
     fn message_width(&self) -> usize {
@@ -416,5 +426,27 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
 
     fn parameters(&self) -> (i64, i64) {
         self.weights.parameters(N::TRAINING_ONLY)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn decisions_are_divided_where_there_are_enough() {
+        let count = |envs, agents, most| parts_of_decisions(envs, agents, most);
+        assert_eq!((count(16, 8, 8), count(16, 16, 8), count(16, 48, 8)), (1, 2, 5));
+        // Other tests count on these.
+        assert_eq!((count(3, 128, 2), count(52, 5, 3)), (2, 2));
+        for (envs, agents) in [(1, 1), (3, 86), (7, 48), (16, 48), (100, 3), (5, 700)] {
+            for most in 1..9 {
+                let worlds = divided(envs, parts_of_decisions(envs, agents, most));
+                let all: Vec<i64> = worlds.iter().cloned().flatten().collect();
+                assert_eq!(all, (0..envs).collect::<Vec<_>>());
+                let enough = |part: &Range<i64>| (part.end - part.start) * agents >= 128;
+                assert!(worlds.len() == 1 || worlds.iter().all(enough), "{envs} {agents} {most}");
+            }
+        }
     }
 }

@@ -67,7 +67,7 @@ impl Observation {
         self.map(|tensor| tensor.to_device(device))
     }
 
-    /// Returns the input of these worlds.
+    /// Returns the part of the input that belongs to `worlds`.
     pub(super) fn of(&self, worlds: &Range<i64>) -> Self {
         self.map(|tensor| narrowed(tensor, worlds))
     }
@@ -118,7 +118,7 @@ impl ActMode {
         self.map(|tensor| tensor.to_device(device))
     }
 
-    /// Returns the mode, with the noise of these worlds.
+    /// Returns the mode with the part of the noise that belongs to `worlds`.
     pub(super) fn of(&self, worlds: &Range<i64>) -> Self {
         self.map(|tensor| narrowed(tensor, worlds))
     }
@@ -136,7 +136,7 @@ impl ActMode {
     }
 }
 
-/// Returns these worlds' part of a tensor `[E, ..]`, and an empty tensor as it is.
+/// Returns the rows of a tensor `[E, ..]` that belong to `worlds`; an empty tensor stays empty.
 fn narrowed(tensor: &Tensor, worlds: &Range<i64>) -> Tensor {
     if tensor.size()[0] == 0 {
         return tensor.shallow_clone();
@@ -169,14 +169,13 @@ impl Decision {
         Tensor::cat(&[&self.action, &self.log_prob, &self.memory], -1)
     }
 
-    /// Returns the decision from what [`Decision::joined`] returned; its memory is `memory` wide.
-    pub(super) fn parted(joined: &Tensor, memory: i64) -> Self {
-        let (whole, actions) = (joined.size()[2], (joined.size()[2] - memory) / 2);
+    /// Takes apart what [`Decision::joined`] returned of actions that are `actions` wide.
+    pub(super) fn parted(joined: &Tensor, actions: i64) -> Self {
         let part = |first, width| joined.narrow(-1, first, width).contiguous();
         Self {
             action: part(0, actions),
             log_prob: part(actions, actions),
-            memory: part(whole - memory, memory),
+            memory: part(2 * actions, joined.size()[2] - 2 * actions),
         }
     }
 }

@@ -42,9 +42,10 @@ pub struct Ppo {
     #[schemars(range(min = 1))]
     pub minibatch: usize,
     /// Number of parts of a minibatch that are processed in parallel, each on its own thread with
-    /// its own copy of the networks. One per core is fastest; 1 where each core has a run of its
-    /// own. Another number changes rounding and the samples from which decoders learn; therefore it
-    /// is a setting and not read from the machine. On a GPU there is one part.
+    /// its own copy of the networks. The decisions of a rollout are divided as well, where a step has
+    /// at least 256. One part per core is fastest; 1 where each core has a run of its own. Another
+    /// number changes rounding and the samples from which decoders learn; therefore it is a setting
+    /// and not read from the machine. On a GPU there is one part per process.
     #[default = 2]
     #[schemars(range(min = 1, max = 64))]
     pub shards: usize,

@@ -19,7 +19,8 @@ pub struct Profile {
     /// Factor of the number of worlds and of the samples per minibatch. Rollouts hold as many steps,
     /// and the learning rate grows with the factor's square root.
     scale: u32,
-    /// Number of parts of a minibatch that are processed at the same time.
+    /// Number of parts of a minibatch, and at most of a step's decisions, that are processed at the
+    /// same time.
     shards: usize,
     device: ComputeDevice,
 }

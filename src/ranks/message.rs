@@ -89,7 +89,7 @@ pub(super) fn decoded(bytes: &[u8], frames: &mut [Frame]) -> Told {
     let length = u64::from_ne_bytes(length.try_into().expect("eight bytes")) as usize;
     let (first, rest) = rest.split_at(length);
     let told: Told = ciborium::from_reader(first).expect("a message of this program");
-    // A copy, because the bytes may begin at any address.
+    // Copied, because the bytes may not be aligned for numbers.
     let numbers: Vec<f32> = bytemuck::allocation::pod_collect_to_vec(rest);
     let mut rest = &numbers[..];
     for (frame, place) in frames.iter_mut().zip(&told.worlds) {

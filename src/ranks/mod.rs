@@ -1,10 +1,10 @@
 //! The processes of one training that runs on several at once, on one machine or on many.
 //!
-//! Every rank has all weights, and the same rollouts. The ranks divide the work: each simulates a
-//! part of the worlds (`divided`), decides for a part of them where there are many, and computes the
-//! gradients of a part of a minibatch's shards. What each has found goes to all others, and is added
-//! up in the order of worlds and shards. So the result depends on the settings alone: it is the same
-//! to the bit as that of one process.
+//! Every rank has all weights and sees the same rollouts. Each rank simulates some of the worlds
+//! (`divided`), chooses actions for some of them where a step has many decisions, and computes the
+//! gradients of some shards. It sends its results to all others. Sums are formed in the order of
+//! worlds and shards, so that the result depends on the settings alone: it is the same to the bit as
+//! that of one process.
 
 #![cfg(feature = "learn")]
 
@@ -93,7 +93,7 @@ pub(crate) fn part_of(rank: usize, size: usize, count: usize) -> Range<usize> {
 /// Gathers numbers from all ranks, one after the other.
 pub(crate) fn gather_numbers<T: Pod>(ranks: &dyn Ranks, own: &[T]) -> Vec<T> {
     let all = ranks.all_gather(bytemuck::cast_slice(own));
-    // Copies, because the bytes may begin at any address.
+    // Copied, because the bytes may not be aligned for numbers.
     let numbers = all.iter().map(|bytes| bytemuck::allocation::pod_collect_to_vec(bytes));
     numbers.collect::<Vec<Vec<T>>>().concat()
 }

@@ -7,10 +7,9 @@ use std::fs;
 use std::os::unix::fs::{PermissionsExt as _, symlink};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
-use rayon::prelude::*;
-
-use crate::support::root;
+use crate::support::{on_all_cores, root};
 
 /// Stands for `iwol` while a page's commands run: passes each call on to the program, with few
 /// steps, cells and episodes, so that it ends in a second or two.
@@ -200,6 +199,29 @@ fn pages_name_every_experiment() {
     }
 }
 
+/// Rows of tables that are copied from the report on four to 48 vehicles are as they stand there.
+#[test]
+fn tables_of_results_are_those_of_the_report() {
+    let page = Page::read(Path::new("docs/results/README.md")).text;
+    let report = Page::read(Path::new("results/scalability/report.md")).text;
+    let begin = page.find("## Four to 48 vehicles").expect("the first section");
+    let end = page.find("## Vehicles that steer").expect("the section after them");
+    let mut rows = 0;
+    for row in page[begin..end].lines().filter(|line| line.starts_with("| ")) {
+        // Names come before numbers; the paper's values are in italics.
+        let is_number = |cell: &&str| cell.starts_with(|c: char| c.is_ascii_digit() || c == '>');
+        let cells: Vec<&str> = row.trim_matches('|').split('|').map(str::trim).collect();
+        let Some(first) = cells.iter().position(is_number) else { continue };
+        let has_interval = cells.iter().any(|cell| cell.contains('±') || cell.contains('['));
+        if has_interval {
+            rows += 1;
+            let numbers = cells[first..].join(" | ");
+            assert!(report.contains(&numbers), "results/scalability/report.md lacks `{numbers}`");
+        }
+    }
+    assert!(rows >= 30, "the scan finds rows: {rows}");
+}
+
 /// Returns the help of a verb and of the verbs below it, as Markdown.
 fn help(verbs: &[&str], page: &mut String) {
     let output = program().args(verbs).arg("--help").output().expect("it runs");
@@ -309,18 +331,20 @@ impl Workplace {
     }
 }
 
-/// The commands of each page run one after another, those of several pages at once, in a folder with the scenarios, experiments and
-/// policies of the repository. Pages that begin with trained runs find them there.
+/// Runs the commands of each page in order, and several pages at the same time. Each page has a
+/// folder of its own with the scenarios, experiments and policies of the repository. Pages that begin
+/// with trained runs find them there.
 #[test]
 fn commands_of_pages_run() {
     let trained = Workplace::new();
     trained.shell(
         "iwol train --scenario scenarios/intersection.xml --algorithm im-iwol --out runs/demo",
     );
-    let run = |page: &Page| {
+    let ran = AtomicUsize::new(0);
+    let run = |page: Page| {
         let blocks = page.blocks("sh");
         if blocks.is_empty() {
-            return 0;
+            return;
         }
         let place = Workplace::new();
         place.shell(&format!("cp -r {}/runs .", trained.folder.path().display()));
@@ -331,8 +355,9 @@ fn commands_of_pages_run() {
         for block in &blocks {
             place.shell(&format!("# {}\n{block}", page.path.display()));
         }
-        blocks.len()
+        ran.fetch_add(blocks.len(), Ordering::Relaxed);
     };
-    let ran: usize = pages().par_iter().map(run).sum();
+    on_all_cores(pages(), run);
+    let ran = ran.into_inner();
     assert!(ran > 20, "the scan finds blocks: {ran}");
 }

@@ -7,10 +7,9 @@ use std::process::Command;
 
 use iwol_sumo::algo::{self, Capabilities};
 use iwol_sumo::scenario::Scenario;
-use rayon::prelude::*;
 use serde_json::Value;
 
-use crate::support::{self, folder, iwol, succeeds};
+use crate::support::{self, folder, iwol, on_all_cores, succeeds};
 
 const SMALL: [&str; 9] = [
     "train.envs=2",
@@ -178,7 +177,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             assert!(found.contains(expected), "{found}");
         }
     };
-    algo::NAMES.into_par_iter().for_each(use_policy);
+    on_all_cores(algo::NAMES.to_vec(), use_policy);
 
     // Two seeds form one curve; runs with another observation form another curve.
     text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));

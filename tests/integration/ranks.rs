@@ -19,7 +19,12 @@ const SUMO: [&str; 4] = [
     "simulation.backend=traci",
     "simulation.processes=2",
 ];
-const WITHOUT: [&str; 1] = ["environment=traffic_junction_easy"];
+const WITHOUT: [&str; 3] = [
+    "environment=traffic_junction_easy",
+    // So many that decisions are divided.
+    "train.envs=52",
+    "train.rollout_steps=16",
+];
 
 const SETTINGS: [&str; 8] = [
     "train.envs=4",

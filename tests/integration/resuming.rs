@@ -9,10 +9,9 @@ use iwol_sumo::config::{Config, Document, Layers};
 use iwol_sumo::driving;
 use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{RunDir, Trainer, TrainingEnd};
-use rayon::prelude::*;
 use tch::{Kind, Tensor};
 
-use crate::support::{INTERSECTION, folder, root};
+use crate::support::{INTERSECTION, folder, on_all_cores, root};
 
 // Uses TraCI, because several trainers exist at once, and a process can have libsumo only once.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
@@ -84,7 +83,7 @@ fn runs() -> Vec<(&'static str, &'static str)> {
 #[test]
 fn training_is_reproducible_and_resumable_bit_for_bit() {
     let stop = AtomicBool::new(false);
-    runs().into_par_iter().for_each(|(algorithm, encoder)| {
+    on_all_cores(runs(), |(algorithm, encoder)| {
         // Four iterations in one go. Episodes of at most 60 steps end within rollouts of 40 steps.
         let mut whole = trainer(algorithm, encoder);
         for _ in 0..4 {

@@ -30,10 +30,9 @@ use iwol_sumo::{
     },
 };
 use proptest::prelude::*;
-use rayon::prelude::*;
 use tch::Device;
 
-use crate::support::{self, INTERSECTION, folder, root};
+use crate::support::{self, INTERSECTION, folder, on_all_cores, root};
 
 fn shipped() -> Scenario {
     support::shipped("intersection")
@@ -223,8 +222,8 @@ fn every_shipped_scenario_survives_its_xml() {
 /// Every shipped scenario passes its check, and every algorithm drives in it for some steps.
 #[test]
 fn every_shipped_scenario_is_for_every_method() {
-    all_shipped().par_iter().for_each(|path| {
-        let checked = Scenario::check(path);
+    on_all_cores(all_shipped(), |path| {
+        let checked = Scenario::check(&path);
         assert!(
             checked.list.iter().all(|finding| finding.severity != Severity::Error),
             "{:?}",

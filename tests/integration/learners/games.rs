@@ -4,8 +4,9 @@ use iwol_sumo::algo::settings::EncoderKind;
 use iwol_sumo::algo::{self, ActMode, CommunicationScope, Observation, UpdateParameters};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
-use rayon::prelude::*;
 use tch::{Device, Kind, Tensor};
+
+use crate::support::on_all_cores;
 
 use super::{PACE, build, complete, noise, nothing, observation, random_rollout, small, spec};
 
@@ -149,7 +150,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
 /// follow from the numbers.
 #[test]
 fn every_algorithm_learns_who_goes_first() {
-    algo::NAMES.into_par_iter().for_each(|name| {
+    on_all_cores(algo::NAMES.to_vec(), |name| {
         let reward = play(name, Game::Crossing, 60);
         assert!(reward > 0.6, "{name}: {reward}");
     });
@@ -162,10 +163,10 @@ fn messages_help_where_they_are_needed() {
     // no observation reaches an agent that it must not reach.
     let without = play("mappo", Game::Other, 60);
     assert!(without < -0.3, "what the other sees cannot be guessed: {without}");
-    let told = algo::NAMES.into_par_iter().filter(|name| {
+    let told = algo::NAMES.into_iter().filter(|name| {
         !matches!(scope(name), CommunicationScope::None | CommunicationScope::InRangeNextStep)
     });
-    told.for_each(|name| {
+    on_all_cores(told.collect(), |name| {
         // The bound is wide, because rounding differs between processors and a run then takes
         // another course.
         let with = play(name, Game::Other, 120);

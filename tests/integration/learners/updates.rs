@@ -136,17 +136,16 @@ fn shards_share_one_set_of_weights() {
     });
 }
 
-/// An update without learning finds exactly the log-probabilities that the actions had when they
-/// were chosen, with each environment's noise, graph and memory.
-/// However many shards divide the worlds, decisions are the same but for rounding.
+/// Two shards choose the same actions as one, but for rounding, also where messages are under way.
 #[test]
 fn shards_decide_as_one_does() {
     // So many that the decisions of three worlds are divided.
-    const AGENTS: usize = 86;
+    const AGENTS: usize = 128;
     each(|name, encoder| {
         let decided = |shards: usize| {
             let mut settings = small(encoder);
             settings.ppo.shards = shards;
+            settings.channel.delay = u32::from(encoder == EncoderKind::Mlp);
             let learner = loud(name, &spec(AGENTS), &settings);
             let mut rollout = random_rollout(&*learner, AGENTS, 3);
             rollout.carried = vec![0.5; rollout.action.len()];
@@ -164,6 +163,8 @@ fn shards_decide_as_one_does() {
     });
 }
 
+/// An update without learning finds exactly the log-probabilities that the actions had when they
+/// were chosen, with each environment's noise, graph and memory.
 #[test]
 fn an_update_sees_the_policy_that_acted() {
     each(|name, encoder| {
