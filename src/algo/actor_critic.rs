@@ -438,7 +438,7 @@ mod tests {
         let count = |envs, agents, most| parts_of_decisions(envs, agents, most);
         assert_eq!((count(16, 8, 8), count(16, 16, 8), count(16, 48, 8)), (1, 2, 5));
         // Other tests count on these.
-        assert_eq!((count(3, 128, 2), count(52, 5, 3)), (2, 2));
+        assert_eq!((count(8, 33, 2), count(52, 5, 3)), (2, 2));
         for (envs, agents) in [(1, 1), (3, 86), (7, 48), (16, 48), (100, 3), (5, 700)] {
             for most in 1..9 {
                 let worlds = divided(envs, parts_of_decisions(envs, agents, most));

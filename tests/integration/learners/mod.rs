@@ -147,9 +147,20 @@ fn random_rollout(learner: &dyn Algorithm, agents: usize, seed: u64) -> Rollout 
 /// Returns such a rollout in which, with `newcomers`, new agents come into slots that were empty for
 /// a step.
 fn rollout_with(learner: &dyn Algorithm, agents: usize, seed: u64, newcomers: bool) -> Rollout {
+    rollout_of(learner, 3, agents, seed, newcomers)
+}
+
+/// Returns such a rollout of this number of worlds.
+fn rollout_of(
+    learner: &dyn Algorithm,
+    envs: usize,
+    agents: usize,
+    seed: u64,
+    newcomers: bool,
+) -> Rollout {
     let sizes = Sizes {
         steps: 16,
-        envs: 3,
+        envs,
         agents,
         observation: 4,
         state: 3,
