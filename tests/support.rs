@@ -30,11 +30,13 @@ pub fn folder() -> TempDir {
     tempfile::tempdir().expect("a folder")
 }
 
-/// Applies `work` to all items, on as many threads as there are cores.
-pub fn on_all_cores<T: Send>(items: Vec<T>, work: impl Fn(T) + Sync + Send) {
+/// Applies `work` to all items, on half of the cores: other tests run at the same time.
+pub fn in_parallel<T: Send>(items: Vec<T>, work: impl Fn(T) + Sync + Send) {
     // A test's own threads write what they say into the test's output; those of a common pool would
     // write into that of another test.
-    let pool = rayon::ThreadPoolBuilder::new().stack_size(8 << 20).build().expect("threads");
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(cores.div_ceil(2)).stack_size(8 << 20);
+    let pool = pool.build().expect("threads");
     pool.install(|| items.into_par_iter().for_each(work));
 }
 

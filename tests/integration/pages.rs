@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use crate::support::{on_all_cores, root};
+use crate::support::{in_parallel, root};
 
 /// Stands for `iwol` while a page's commands run: passes each call on to the program, with few
 /// steps, cells and episodes, so that it ends in a second or two.
@@ -357,7 +357,7 @@ fn commands_of_pages_run() {
         }
         ran.fetch_add(blocks.len(), Ordering::Relaxed);
     };
-    on_all_cores(pages(), run);
+    in_parallel(pages(), run);
     let ran = ran.into_inner();
     assert!(ran > 20, "the scan finds blocks: {ran}");
 }

@@ -9,7 +9,7 @@ use iwol_sumo::algo::{self, Capabilities};
 use iwol_sumo::scenario::Scenario;
 use serde_json::Value;
 
-use crate::support::{self, folder, iwol, on_all_cores, succeeds};
+use crate::support::{self, folder, in_parallel, iwol, succeeds};
 
 const SMALL: [&str; 9] = [
     "train.envs=2",
@@ -177,7 +177,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             assert!(found.contains(expected), "{found}");
         }
     };
-    on_all_cores(algo::NAMES.to_vec(), use_policy);
+    in_parallel(algo::NAMES.to_vec(), use_policy);
 
     // Two seeds form one curve; runs with another observation form another curve.
     text(&mut train(&at("mappo_1"), &["--algorithm", "mappo", "--agents", "4", "--seed", "1"]));

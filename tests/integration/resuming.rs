@@ -11,7 +11,7 @@ use iwol_sumo::scenario::Scenario;
 use iwol_sumo::train::{RunDir, Trainer, TrainingEnd};
 use tch::{Kind, Tensor};
 
-use crate::support::{INTERSECTION, folder, on_all_cores, root};
+use crate::support::{INTERSECTION, folder, in_parallel, root};
 
 // Uses TraCI, because several trainers exist at once, and a process can have libsumo only once.
 fn config(algorithm: &str, encoder: &str, steps: u64) -> (Config, Scenario) {
@@ -83,7 +83,7 @@ fn runs() -> Vec<(&'static str, &'static str)> {
 #[test]
 fn training_is_reproducible_and_resumable_bit_for_bit() {
     let stop = AtomicBool::new(false);
-    on_all_cores(runs(), |(algorithm, encoder)| {
+    in_parallel(runs(), |(algorithm, encoder)| {
         // Four iterations in one go. Episodes of at most 60 steps end within rollouts of 40 steps.
         let mut whole = trainer(algorithm, encoder);
         for _ in 0..4 {

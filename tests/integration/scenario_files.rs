@@ -32,7 +32,7 @@ use iwol_sumo::{
 use proptest::prelude::*;
 use tch::Device;
 
-use crate::support::{self, INTERSECTION, folder, on_all_cores, root};
+use crate::support::{self, INTERSECTION, folder, in_parallel, root};
 
 fn shipped() -> Scenario {
     support::shipped("intersection")
@@ -222,7 +222,7 @@ fn every_shipped_scenario_survives_its_xml() {
 /// Every shipped scenario passes its check, and every algorithm drives in it for some steps.
 #[test]
 fn every_shipped_scenario_is_for_every_method() {
-    on_all_cores(all_shipped(), |path| {
+    in_parallel(all_shipped(), |path| {
         let checked = Scenario::check(&path);
         assert!(
             checked.list.iter().all(|finding| finding.severity != Severity::Error),

@@ -6,7 +6,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
 
-use crate::support::on_all_cores;
+use crate::support::in_parallel;
 
 use super::{PACE, build, complete, noise, nothing, observation, random_rollout, small, spec};
 
@@ -150,7 +150,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
 /// follow from the numbers.
 #[test]
 fn every_algorithm_learns_who_goes_first() {
-    on_all_cores(algo::NAMES.to_vec(), |name| {
+    in_parallel(algo::NAMES.to_vec(), |name| {
         let reward = play(name, Game::Crossing, 60);
         assert!(reward > 0.6, "{name}: {reward}");
     });
@@ -166,7 +166,7 @@ fn messages_help_where_they_are_needed() {
     let told = algo::NAMES.into_iter().filter(|name| {
         !matches!(scope(name), CommunicationScope::None | CommunicationScope::InRangeNextStep)
     });
-    on_all_cores(told.collect(), |name| {
+    in_parallel(told.collect(), |name| {
         // The bound is wide, because rounding differs between processors and a run then takes
         // another course.
         let with = play(name, Game::Other, 120);
