@@ -34,7 +34,7 @@ pub use presets::{PRESETS, Preset};
 pub use profiles::{PROFILES, Profile};
 pub(crate) use scenario::flat_changes;
 pub use scenario::{ScenarioSettings, changes};
-pub use uses::no_matter_of_evaluation;
+pub use uses::{no_matter_of_evaluation, unread};
 
 use defaults::Setting;
 use std::path::PathBuf;

@@ -103,6 +103,10 @@ pub fn evaluate(
     let mut driver = PolicyDriver::new(policy, spec, seed.child("actions"), recorder);
     let stage = Stage { environment, seed, beside, stop };
     let mut records = stage.play(0..episodes, RETRIES, &mut driver, report)?;
+    // What the actor tells is of the requested episodes alone, not of those that fill a window.
+    let actor = driver.actor.as_deref();
+    let reconstruction = actor.map(Actor::knowledge).unwrap_or_default();
+    let message_bits = actor.map(Actor::message_bits).unwrap_or_default();
     let mut extra: Vec<EpisodeRecord> = Vec::new();
     loop {
         let all: Vec<&EpisodeRecord> = records.iter().chain(&extra).collect();
@@ -110,12 +114,11 @@ pub fn evaluate(
         let missing = WINDOW.saturating_sub(all.iter().map(|r| r.step_rewards.len()).sum());
         if !windows.is_empty() || missing == 0 || stop.load(Ordering::Relaxed) || all.is_empty() {
             records.sort_by_key(|record| record.episode);
-            let actor = driver.actor.as_deref();
             return Ok(Evaluation {
                 episodes: records,
                 windows,
-                reconstruction: actor.map(Actor::knowledge).unwrap_or_default(),
-                message_bits: actor.map(Actor::message_bits).unwrap_or_default(),
+                reconstruction,
+                message_bits,
                 own: spec.metrics.clone(),
             });
         }
@@ -209,10 +212,13 @@ impl Stage<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeSet;
+
     use serde_json::Value;
 
     use super::*;
-    use crate::env::DrivingRecord;
+    use crate::env::{DrivingRecord, EnvSpec, NamedEnvironment, Worlds};
+    use crate::replay::RecordedDiagnostics;
 
     fn record(episode: u64, rewards: &[f32]) -> EpisodeRecord {
         EpisodeRecord {
@@ -227,6 +233,51 @@ mod tests {
             step_rewards: rewards.to_vec(),
             ..EpisodeRecord::default()
         }
+    }
+
+    /// A policy without motion that tells which episodes it has acted in.
+    struct Witness;
+
+    struct WitnessActor(BTreeSet<u64>);
+
+    impl Controller for Witness {
+        fn actor<'a>(&'a self, _: &'a EnvSpec, _: Seed) -> Box<dyn Actor + 'a> {
+            Box::new(WitnessActor(BTreeSet::new()))
+        }
+    }
+
+    impl Actor for WitnessActor {
+        fn begin(&mut self) {}
+
+        fn act(
+            &mut self,
+            worlds: &dyn Worlds,
+            _: &mut [f32],
+            _: Option<usize>,
+        ) -> Result<RecordedDiagnostics, env::Error> {
+            self.0.extend((0..worlds.count()).map(|e| worlds.view(e).episode));
+            Ok(RecordedDiagnostics::default())
+        }
+
+        fn message_bits(&self) -> Vec<f64> {
+            self.0.iter().map(|&episode| episode as f64).collect()
+        }
+    }
+
+    /// Episodes that only fill a window of 1000 steps count for nothing else.
+    #[test]
+    fn what_a_policy_tells_is_of_the_requested_episodes() {
+        let environment = NamedEnvironment::find("navigation").expect("a built-in one").environment();
+        let observer = EvaluationObserver {
+            stop: &AtomicBool::new(false),
+            report: &mut |_| {},
+            recorder: None,
+            beside: false,
+        };
+        let policy = Policy::Learned(&Witness);
+        let result = evaluate(&*environment, &policy, 3, Seed::new(1), observer).expect("it runs");
+        assert_eq!((result.episodes.len(), result.windows.len()), (3, 1));
+        assert_eq!(result.message_bits, [0.0, 1.0, 2.0]);
     }
 
     #[test]

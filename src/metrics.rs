@@ -21,7 +21,7 @@ use crate::stats::Estimate;
 
 use metric::{
     APART, BRAKING, COUNT, FINE, FINE_COUNT, Field as _, KILOMETRES, NUMBER, PERCENT, SECONDS,
-    SPEED, Source,
+    SPEED, Source, TIME_LOSS,
 };
 pub use metric::{Better, Metric, Scale, Shown};
 pub use own::{OwnEstimate, of_environments, own};
@@ -120,7 +120,8 @@ metrics! {
             "window reward (throughput)", "reward per agent in 1000 steps",
             NUMBER, Higher, Everywhere,
             "Throughput: reward per agent over 1000 steps, in which episodes follow each other \
-             (the paper's \"Rewards\").";
+             (the paper's \"Rewards\"). Where agents come from route files: per slot, so that it \
+             compares runs with as many slots (`--agents`) only.";
         episode_length: Estimate = |e| e.mean(|r| f64::from(r.episode_length)),
             "episode length", "steps", COUNT, Neither, InEvaluations,
             "Length of an episode in steps.";
@@ -203,13 +204,13 @@ metrics! {
     of: Vec<FlowMetrics>, ids: "flow.", part: |metrics| metrics.driving.as_ref()?.flow.as_ref(),
     metrics: {
         throughput: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.arrived) / f.hours),
-            "arrivals per hour", "agents that arrive per hour", NUMBER, Higher, InFigures,
+            "arrivals per hour", "agents that arrive per hour", COUNT, Higher, InFigures,
             "Agents from route files that arrived, per hour.";
         departures: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.departed) / f.hours),
-            "departures per hour", "agents that depart per hour", NUMBER, Higher, InEvaluations,
+            "departures per hour", "agents that depart per hour", COUNT, Higher, InEvaluations,
             "Agents from route files that departed, per hour.";
         delay: Option<Estimate> = |f| flow(f, |f| f.arrived > 0, |f| f.delay),
-            "time loss", "time loss of an agent (s)", SECONDS, Lower, InFigures,
+            "time loss", "time loss of an agent (s)", TIME_LOSS, Lower, InFigures,
             "Time that an agent that arrives loses against driving alone at the speed limits \
              (SUMO's time loss).";
         waiting: Option<Estimate> = |f| flow(f, |f| f.departed > 0, |f| f.waiting),
@@ -217,10 +218,10 @@ metrics! {
             "Time that an agent waits for its departure, because no slot or no room on the road \
              is free.";
         queued: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.queued)),
-            "agents that still wait", "agents", NUMBER, Lower, InEvaluations,
+            "agents that still wait", "agents", COUNT, Lower, InEvaluations,
             "Agents that still wait for their departure at the end of an episode.";
         on_road: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.on_road)),
-            "agents on the road", "agents", NUMBER, Neither, InEvaluations,
+            "agents on the road", "agents", COUNT, Neither, InEvaluations,
             "Agents on the road at the end of an episode. They count as not arrived if they have \
              been there for more than four times the time of their route at the speed limits; otherwise \
              they do not count.";

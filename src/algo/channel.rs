@@ -37,9 +37,10 @@ pub struct Channel {
     /// deviation, independent for each receiver and step.
     #[schemars(range(min = 0, max = 1))]
     pub falsified: f64,
-    /// Whether agents hear what agents of another episode say: the messages are as many and look
-    /// alike, but say nothing about this episode. Results then depend on which episodes are played
-    /// side by side. For evaluation only.
+    /// Whether agents hear, in the place of each message, one from an agent of another episode: the
+    /// messages are as many and look alike, but say nothing about this episode. They come from the
+    /// episodes that are played at the same time, on which results then depend; a message is lost
+    /// while no other episode has an agent on the road. For evaluation only.
     pub shuffled: bool,
 }
 
@@ -171,7 +172,9 @@ pub(super) fn exchange(
     let memory = input.memory.narrow(2, 0, own);
     let (f, after) = encode_rows(encoder, &input.observation, &memory, &input.keep(), 1);
     let past = input.memory.narrow(2, own, total - own);
-    let (Heard { embedding, arrived }, past) = channel.send(&f, &input.keep(), &past, noise);
+    let present = input.comm.diagonal(0, 1, 2);
+    let (Heard { embedding, arrived }, past) =
+        channel.send(&f, &input.keep(), &present, &past, noise);
     // An agent that the receiver did not hear cannot reach it over a third agent either.
     let made = read(&embedding.flatten(0, 1), &arrived.reshape([envs * agents, 1, agents]));
     let made = made.view([envs, agents, -1]);
@@ -197,17 +200,20 @@ pub(super) fn of_receivers(rows: &Tensor) -> Tensor {
 impl Channel {
     /// Sends the embeddings `f [E, N, H]`. Returns what arrives, and the past of the next decision.
     /// `past [E, N, 1 + delay · H]` holds the steps since the episode began and the embeddings sent
-    /// since; it is cleared where `keep [E, N]` is 0.
+    /// since; it is cleared where `keep [E, N]` is 0. `present [E, N]` is 1 where an agent is
+    /// present.
     fn send(
         &self,
         f: &Tensor,
         keep: &Tensor,
+        present: &Tensor,
         past: &Tensor,
         noise: &ChannelNoise,
     ) -> (Heard, Tensor) {
-        let (sent, silent, past) = self.delayed(&self.rounded(f), keep, past);
-        // Every world hears the world before it.
-        let sent = if self.shuffled { sent.roll([1], [0]) } else { sent };
+        let (mut sent, mut silent, past) = self.delayed(&self.rounded(f), keep, past);
+        if self.shuffled {
+            (sent, silent) = of_other_worlds(&sent, &silent, present);
+        }
         let replaced = (self.falsified > 0.0)
             .then(|| (noise.falsified.lt(self.falsified), noise.content.shallow_clone()));
         (Heard::of(f, &sent, &silent, &self.arrived(noise), replaced.as_ref()), past)
@@ -215,7 +221,7 @@ impl Channel {
 
     /// Returns 1 where a message is not lost, else 0, `[E, N, N]`; an agent's own embedding is
     /// never lost.
-    pub(super) fn arrived(&self, noise: &ChannelNoise) -> Tensor {
+    pub fn arrived(&self, noise: &ChannelNoise) -> Tensor {
         let own = Tensor::eye(noise.lost.size()[1], (Kind::Bool, noise.lost.device()));
         noise.lost.ge(self.loss).logical_or(&own).to_kind(Kind::Float)
     }
@@ -249,6 +255,38 @@ impl Channel {
     }
 }
 
+/// Returns in the place of what each agent sends, `[E, N, H]`, what an agent of another world sends,
+/// and whether nothing arrives of it, `[E, N]`.
+fn of_other_worlds(sent: &Tensor, silent: &Tensor, present: &Tensor) -> (Tensor, Tensor) {
+    let (_, agents, width) = sent.size3().expect("messages are [E, N, H]");
+    let present = Vec::<f32>::try_from(present.reshape([-1])).expect("presence is of floats");
+    let present: Vec<bool> = present.iter().map(|present| *present > 0.0).collect();
+    let others = others(&present, agents as usize);
+    let index: Vec<i64> =
+        others.iter().enumerate().map(|(own, other)| other.unwrap_or(own) as i64).collect();
+    let index = Tensor::from_slice(&index).to_device(sent.device());
+    let nobody: Vec<bool> = others.iter().map(Option::is_none).collect();
+    let nobody = Tensor::from_slice(&nobody).to_device(sent.device());
+    (
+        sent.reshape([-1, width]).index_select(0, &index).view_as(sent),
+        silent.reshape([-1]).index_select(0, &index).logical_or(&nobody).view_as(silent),
+    )
+}
+
+/// Returns for each of the `agents` slots of each world the place of an agent in another world that is
+/// present: in the same slot of the nearest world before it if there is one, or else in another slot.
+fn others(present: &[bool], agents: usize) -> Vec<Option<usize>> {
+    let worlds = present.len() / agents;
+    let of = |own: usize| {
+        let (world, slot) = (own / agents, own % agents);
+        let before = (1..worlds).map(|back| (world + worlds - back) % worlds * agents);
+        let here = |place: &usize| present[*place];
+        let same = before.clone().map(|first| first + slot).find(here);
+        same.or_else(|| before.flat_map(|first| first..first + agents).find(here))
+    };
+    (0..present.len()).map(of).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -264,7 +302,7 @@ mod tests {
         past: &Tensor,
         noise: &ChannelNoise,
     ) -> (Heard, Tensor) {
-        channel.send(f, &Tensor::full([1, N], keep, CPU), past, noise)
+        channel.send(f, &Tensor::full([1, N], keep, CPU), &Tensor::ones([1, N], CPU), past, noise)
     }
 
     fn noise(lost: f64, falsified: f64) -> ChannelNoise {
@@ -327,7 +365,8 @@ mod tests {
             falsified: twice(falsified),
             content: twice(content),
         };
-        let (heard, _) = channel.send(&f, &Tensor::zeros([2, N], CPU), &none, &both);
+        let present = Tensor::ones([2, N], CPU);
+        let (heard, _) = channel.send(&f, &Tensor::zeros([2, N], CPU), &present, &none, &both);
         for (world, i, j) in
             (0..2).flat_map(|w| (0..N).flat_map(move |i| (0..N).map(move |j| (w, i, j))))
         {
@@ -335,6 +374,39 @@ mod tests {
             let found = numbers(&heard.embedding.get(world).get(i).get(j));
             assert_eq!(found, numbers(&f.get(from).get(j)), "{i} hears {j} in world {world}");
         }
+    }
+
+    #[test]
+    fn shuffled_messages_come_from_agents_that_are_there() {
+        // Three worlds of three slots: the second world has only its last agent, the third none.
+        let present = [true, true, false, false, false, true, false, false, false];
+        let others = others(&present, 3);
+        let of_first = [Some(5), Some(5), Some(5)];
+        assert_eq!(others[..3], of_first);
+        assert_eq!(others[3..6], [Some(0), Some(1), Some(0)]);
+        assert_eq!(others[6..], [Some(0), Some(1), Some(5)]);
+
+        let (f, silent) = (
+            Tensor::arange(9, CPU).view([3, 3, 1]),
+            Tensor::from_slice(&[false, true, false, false, false, false, false, false, false]),
+        );
+        let there: Vec<f32> = present.iter().map(|present| f32::from(u8::from(*present))).collect();
+        let (sent, silent) = of_other_worlds(
+            &f,
+            &silent.view([3, 3]),
+            &Tensor::from_slice(&there).view([3, 3]),
+        );
+        assert_eq!(numbers(&sent), [5.0, 5.0, 5.0, 0.0, 1.0, 0.0, 0.0, 1.0, 5.0]);
+        let expected = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0];
+        assert_eq!(numbers(&silent), expected, "a newcomer's delayed message is missing");
+        // Alone, nobody is heard.
+        let alone = Tensor::from_slice(&[1.0_f32, 1.0, 0.0]).view([1, 3]);
+        let (_, silent) = of_other_worlds(
+            &f.narrow(0, 0, 1),
+            &Tensor::zeros([1, 3], (Kind::Bool, Device::Cpu)),
+            &alone,
+        );
+        assert_eq!(numbers(&silent), [1.0; 3]);
     }
 
     #[test]

@@ -6,7 +6,7 @@ use super::batch::{Batch, Shard};
 use super::decision::Reconstruction;
 use super::parameters::{ACTOR, ParameterBuilder};
 use super::settings::Settings;
-use crate::env::EnvSpec;
+use crate::env::{EnvSpec, Feature};
 use crate::nn::{Init, Linear, Path};
 
 /// A decoder of three layers, of which the last one is linear.
@@ -32,10 +32,12 @@ pub(super) fn mean_squared_error(prediction: &Tensor, target: &Tensor) -> Tensor
     (prediction - target).square().mean(Kind::Float)
 }
 
-/// A decoder that predicts the privileged state, whose features are between -1 and 1, from a latent;
-/// it ends in tanh.
+/// A decoder that predicts the privileged state from a latent. It ends in tanh, so that its targets
+/// are features divided by their largest magnitude, where that is above 1.
 pub(super) struct WorldDecoder {
     decoder: LatentDecoder,
+    /// What the features are divided by, `[S]`; `None` if all of them are between -1 and 1.
+    scale: Option<Tensor>,
     /// Share of the samples from which the decoder learns.
     share: f64,
 }
@@ -44,8 +46,22 @@ impl WorldDecoder {
     /// Creates a decoder of latents of width `inputs`.
     pub(super) fn new(path: Path<'_>, spec: &EnvSpec, settings: &Settings, inputs: i64) -> Self {
         let outputs = spec.state.len() as i64;
-        let decoder = LatentDecoder::new(path, inputs, settings.network.hidden, outputs);
-        Self { decoder, share: settings.iwol.decoded }
+        let magnitude = |feature: &Feature| feature.low.abs().max(feature.high.abs());
+        let scales = spec.state.list.iter().map(magnitude);
+        let scales: Vec<f32> =
+            scales.map(|most| if most.is_finite() { most.max(1.0) } else { 1.0 }).collect();
+        let device = path.device();
+        let scale = || Tensor::from_slice(&scales).to_device(device);
+        Self {
+            scale: scales.iter().any(|scale| *scale > 1.0).then(scale),
+            decoder: LatentDecoder::new(path, inputs, settings.network.hidden, outputs),
+            share: settings.iwol.decoded,
+        }
+    }
+
+    /// Returns the targets for privileged states `[.., S]`.
+    fn target(&self, state: &Tensor) -> Tensor {
+        self.scale.as_ref().map_or_else(|| state.shallow_clone(), |scale| state / scale)
     }
 
     /// Creates the actor's `world` decoder of latents of width `inputs`, where its loss has a
@@ -69,12 +85,12 @@ impl WorldDecoder {
 
     /// Returns the mean squared error on samples with latents `x: [B, D]` and these states.
     pub(super) fn error(&self, x: &Tensor, state: &Tensor) -> Tensor {
-        mean_squared_error(&self.decoder.forward(x).tanh(), state)
+        mean_squared_error(&self.decoder.forward(x).tanh(), &self.target(state))
     }
 
     /// Returns the predictions from latents `x: [E, N, D]`, with their targets.
     pub(super) fn reconstruct(&self, x: &Tensor, state: &Tensor) -> Reconstruction {
         let prediction = self.decoder.forward(x).tanh();
-        Reconstruction { name: "world", prediction, target: state.shallow_clone() }
+        Reconstruction { name: "world", prediction, target: self.target(state) }
     }
 }

@@ -67,7 +67,7 @@ pub(super) struct SettingsArgs {
     pub(super) config: Option<PathBuf>,
     /// One setting, e.g. --set ppo.gamma=0.995. The option may be repeated.
     #[arg(long, value_name = "KEY=VALUE")]
-    set: Vec<String>,
+    pub(super) set: Vec<String>,
 }
 
 impl SettingsArgs {

@@ -121,6 +121,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             args.episodes - 1
         );
     }
+    if args.episodes < 2 && setup.is_shuffled() {
+        bail!(
+            "--episodes {}: with channel.shuffled, agents hear those of another episode; allowed: 2 or more",
+            args.episodes
+        );
+    }
     for path in [&args.out, &args.record].into_iter().flatten() {
         record::check_writable(path)?;
     }

@@ -109,6 +109,10 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     if let Some(why) = config.cannot_be_trained() {
         bail!(why);
     }
+    let first = ranks.rank() == 0;
+    for line in config::unread(&given.set, &config.algorithm).into_iter().filter(|_| first) {
+        say!("{line}");
+    }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs")
             .join(place.name())
@@ -226,6 +230,15 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             format!(" (defaults for the profile {})", profile.name)
         }
     );
+    let (exploration, annealing) =
+        (config.learner.exploration.explore_steps, config.train.anneal_steps);
+    if config.steps < exploration + annealing && !args.resume {
+        say!(
+            "{} steps are fewer than exploration ({exploration}) and annealing ({annealing}) take: the run anneals in its last {}",
+            config.steps,
+            annealing.min(config.steps / 2)
+        );
+    }
     if size > 1 {
         say!("{size} processes divide worlds and updates among them");
     }

@@ -17,6 +17,10 @@ impl Config {
         let method = algo::capabilities(&self.algorithm).ok();
         let on_policy = method.is_none_or(|method| method.on_policy);
         let recurrent = network.encoder == settings::EncoderKind::Gru;
+        let team = method.is_some_and(|method| method.team);
+        let cooperation = self.scenario.value("reward", "cooperation");
+        let cooperation = cooperation.and_then(toml::Value::as_float).unwrap_or(0.0);
+        let (chunk, steps) = (network.chunk_length, train.rollout_steps);
         let rules: [(&'static [&'static str], bool, &'static str); _] = [
             (
                 &["train.rollout_steps", "train.envs", "agents"],
@@ -25,8 +29,13 @@ impl Config {
             ),
             (
                 &["network.chunk_length", "train.rollout_steps", "network.encoder"],
-                !recurrent || (1..=train.rollout_steps).contains(&network.chunk_length),
-                "1 to train.rollout_steps",
+                !recurrent || (1..=steps).contains(&chunk) && steps.is_multiple_of(chunk),
+                "1 to train.rollout_steps, and a divisor of it",
+            ),
+            (
+                &["scenario.reward.cooperation", "algorithm"],
+                !team || cooperation == 0.0,
+                "0: this method learns from the return of the whole team",
             ),
             (
                 &["network.encoder", "algorithm"],

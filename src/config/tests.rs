@@ -127,11 +127,27 @@ fn the_resolved_configuration_is_a_configuration() {
     // matter.
     for sets in [
         ["scenario.reward.cooperation=0.25", "train.envs=3"],
-        ["train.rollout_steps=256", "network.chunk_length=200"],
+        ["train.rollout_steps=600", "network.chunk_length=200"],
     ] {
         let config = resolve("", &sets).unwrap();
         assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
     }
+}
+
+/// What would be left out, or would have no effect, is refused.
+#[test]
+fn settings_that_do_not_go_together_are_refused() {
+    let said = |sets: &[&str]| resolve("", sets).err().map(|e| e.to_string()).unwrap_or_default();
+    let memory = "network.encoder=gru";
+    assert_eq!(said(&[memory, "network.chunk_length=64"]), "");
+    let rest = said(&[memory, "network.chunk_length=65"]);
+    assert!(rest.contains("a divisor of it"), "{rest}");
+    let shared = |algorithm: &str| {
+        said(&[&format!("algorithm={algorithm}"), "scenario.reward.cooperation=0.5"])
+    };
+    assert_eq!((shared("mappo"), shared("maddpg")), (String::new(), String::new()));
+    assert!(shared("icp-sum").contains("return of the whole team"), "{}", shared("icp-sum"));
+    assert_eq!(said(&["algorithm=icp-sum"]), "");
 }
 
 #[test]

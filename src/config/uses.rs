@@ -21,6 +21,24 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
     Some(format!("{set}: has no effect in an evaluation: {where_from}"))
 }
 
+/// Returns which of the settings of `--set` an algorithm does not read, each with the reason.
+pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
+    let Ok(method) = algo::capabilities(algorithm) else { return Vec::new() };
+    let reason = |set: &String| {
+        let key = set.split_once('=')?.0.trim();
+        let group = key.split_once('.').map_or(key, |(group, _)| group);
+        let why = match group {
+            "channel" if !method.messages => "sends no messages through a channel",
+            group if algo::Settings::OWN.contains(&group) && !method.settings.contains(&group) => {
+                "does not read it"
+            }
+            _ => return None,
+        };
+        Some(format!("--set {set} has no effect: {algorithm} {why}"))
+    };
+    sets.iter().filter_map(reason).collect()
+}
+
 impl Config {
     /// Returns why these settings cannot be used for training, if they cannot.
     pub fn cannot_be_trained(&self) -> Option<String> {
@@ -55,6 +73,27 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn settings_that_a_method_does_not_read_are_told() {
+        let told = |algorithm: &str, set: &str| unread(&[set.to_owned()], algorithm);
+        assert_eq!(
+            told("im-iwol", "channel.loss=1"),
+            ["--set channel.loss=1 has no effect: im-iwol sends no messages through a channel"]
+        );
+        assert_eq!(
+            told("mappo", "commformer.sparsity=0.9"),
+            ["--set commformer.sparsity=0.9 has no effect: mappo does not read it"]
+        );
+        for (algorithm, set) in [
+            ("ex-iwol", "channel.loss=1"),
+            ("magic", "iwol.decoded=1"),
+            ("mappo", "network.hidden=64"),
+            ("maddpg", "maddpg.n_step=3"),
+        ] {
+            assert!(told(algorithm, set).is_empty(), "{algorithm} {set}");
+        }
+    }
 
     #[test]
     fn settings_of_training_have_no_effect_in_an_evaluation() {

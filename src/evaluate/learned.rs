@@ -99,31 +99,35 @@ impl Actor for LearnedActor<'_> {
             let shape = [&[WORLDS as i64, self.spec.agents as i64][..], shape].concat();
             Tensor::from_slice(array).view(&shape[..])
         };
-        let decision = if channel.is_perfect() {
-            learner.act(&observation, &ActMode::Deterministic)
-        } else {
-            let noise = channel_noise(
+        let noise = (!channel.is_perfect()).then(|| {
+            channel_noise(
                 channel,
                 &sources,
                 &self.frames.comm,
                 self.spec.agents,
                 learner.message_width(),
-            );
-            learner.act_through(&observation, channel, &noise)
+            )
+        });
+        let decision = match &noise {
+            None => learner.act(&observation, &ActMode::Deterministic),
+            Some(noise) => learner.act_through(&observation, channel, noise),
         };
+        let state = || per_agent(&self.frames.state, &[self.frames.sizes.state as i64]);
         // Latents are evaluated only with undisturbed messages.
-        let mut diagnostics = RecordedDiagnostics::default();
-        if channel.is_perfect() {
-            let state = || per_agent(&self.frames.state, &[self.frames.sizes.state as i64]);
-            if self.decisions.is_multiple_of(LOOK) {
-                let active = per_agent(&self.frames.active, &[]);
-                let all = learner.reconstruct(&observation, &state());
-                self.sums.add(&all, &observation.observation, &active, &episodes);
-            }
-            if let Some(world) = watched {
-                diagnostics = recorded(&learner.inspect(&observation, &state()), world as i64);
-            }
+        if noise.is_none() && self.decisions.is_multiple_of(LOOK) {
+            let active = per_agent(&self.frames.active, &[]);
+            let all = learner.reconstruct(&observation, &state());
+            self.sums.add(&all, &observation.observation, &active, &episodes);
         }
+        let diagnostics = watched.map_or_else(RecordedDiagnostics::default, |world| {
+            let own = self.memory.narrow(2, 0, learner.memory() as i64);
+            let mut all = learner.inspect(&observation.with_memory(own), &state());
+            if let (Some(graph), Some(noise)) = (&mut all.graph, &noise) {
+                // Only messages that are not lost are heard.
+                *graph *= channel.arrived(noise);
+            }
+            recorded(&all, world as i64)
+        });
         let bits = channel.message_bits(learner.message_width());
         if bits > 0.0 {
             count_bits(&self.frames, &episodes, bits, &mut self.sent);

@@ -7,4 +7,4 @@ mod trial;
 
 pub use check::{Report, check};
 pub use map::{page, picture};
-pub use trial::{Range, Trial};
+pub use trial::{Hiding, Range, Trial};

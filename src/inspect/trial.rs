@@ -37,6 +37,8 @@ pub struct Trial {
     pub flat_out: [usize; 2],
     /// Largest number of other routes with which a route has a conflict before its finish.
     pub meetings: usize,
+    /// What the polygons of `<occlusion>` hide; `None` without polygons.
+    pub hiding: Option<Hiding>,
     /// Share of the vehicles whose route needs a lane change.
     pub lane_changes: f64,
     /// Steps per second of one world.
@@ -66,6 +68,42 @@ pub struct Range {
     pub most: f32,
     /// Whether all values were finite.
     pub finite: bool,
+}
+
+/// What polygons that block sight or radio do to vehicles on the routes.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Hiding {
+    /// Whether a polygon lies between two places on the routes that are within range of each other.
+    pub hides: bool,
+    /// A place on a route that lies in a polygon \[m\].
+    pub covered: Option<[f64; 2]>,
+}
+
+/// Distance between two places on a route that are tried \[m\], and the most places.
+const SPACING: f64 = 5.0;
+const PLACES: usize = 600;
+
+impl Hiding {
+    fn of(task: &Task) -> Option<Self> {
+        let walls = &task.map.walls;
+        if walls.is_empty() {
+            return None;
+        }
+        let places = |route: &RouteGeometry| {
+            let count = (route.path.length() / SPACING) as u32;
+            (0..=count).map(|k| route.path.at(f64::from(k) * SPACING).0).collect::<Vec<_>>()
+        };
+        let all: Vec<[f64; 2]> = task.map.routes.iter().flat_map(places).collect();
+        let some: Vec<_> = all.iter().step_by(all.len().div_ceil(PLACES).max(1)).collect();
+        let scenario = &task.scenario;
+        let range = scenario.observation.detection_range.max(scenario.communication.range);
+        let near = |a: &[f64; 2], b: &[f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]) <= range;
+        let hidden = |a: &[f64; 2], b: &[f64; 2]| near(a, b) && walls.block(*a, *b);
+        Some(Self {
+            hides: some.iter().enumerate().any(|(k, a)| some[..k].iter().any(|b| hidden(a, b))),
+            covered: all.iter().copied().find(|place| walls.contain(*place)),
+        })
+    }
 }
 
 impl Trial {
@@ -99,6 +137,7 @@ impl Trial {
             lost: 0,
             flat_out: [0; 2],
             meetings: task.map.routes.iter().map(meetings).max().unwrap_or(0),
+            hiding: Hiding::of(&task),
             lane_changes: task.lane_change_share(),
             steps_per_second: 0.0,
             collided_at_once: Vec::new(),
@@ -238,6 +277,22 @@ impl Trial {
                 "little-to-coordinate",
                 format!("no vehicle crashed in {} at full throttle, so there is little to coordinate", counted(played, "episode")),
                 "add vehicles, or move places so that vehicles reach conflict points at the same time; more --steps play more episodes",
+            ));
+        }
+        if self.hiding.is_some_and(|hiding| !hiding.hides) {
+            findings.push(finding(
+                Severity::Warning,
+                "hides-nobody",
+                "no polygon of <occlusion> lies between two places on the routes".to_owned(),
+                "give the corners in the coordinates of the net, whose <location netOffset> netconvert has added to those of its input",
+            ));
+        }
+        if let Some([x, y]) = self.hiding.and_then(|hiding| hiding.covered) {
+            findings.push(finding(
+                Severity::Warning,
+                "polygon-on-road",
+                format!("vehicles drive through a polygon of <occlusion>, at ({x:.1}, {y:.1})"),
+                "move the polygon off the road",
             ));
         }
         let constant = self.constant();

@@ -58,6 +58,8 @@ pub(super) const COUNT: Scale = Scale { bounds: (0.0, f64::INFINITY), ..NUMBER }
 pub(super) const FINE_COUNT: Scale = Scale { digits: 3, ..COUNT };
 pub(super) const KILOMETRES: Scale = Scale { digits: 2, ..COUNT };
 pub(super) const SECONDS: Scale = Scale { unit: "s", ..COUNT };
+/// A time against driving at the speed limits: negative for who drives faster.
+pub(super) const TIME_LOSS: Scale = Scale { unit: "s", ..NUMBER };
 /// A time between two road users.
 pub(super) const APART: Scale = Scale { digits: 3, bounds: (0.0, MAX_TIME_APART), ..SECONDS };
 pub(super) const SPEED: Scale = Scale { unit: "m/s", digits: 2, ..COUNT };

@@ -160,6 +160,11 @@ pub struct Path<'a> {
 }
 
 impl Path<'_> {
+    /// Returns the device of the parameters.
+    pub fn device(&self) -> Device {
+        self.params.device()
+    }
+
     /// Returns the path `part` below this one; names are joined by dots.
     pub fn sub(&mut self, part: impl Display) -> Path<'_> {
         let prefix = self.join(part);

@@ -11,6 +11,7 @@ use super::check::{Map, net_nodes};
 use super::reader::Reader;
 use super::{Demand, Finding, LeftOut, Net, Occlusion, Scenario, Severity, describe};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
+use crate::words::counted;
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
@@ -435,7 +436,7 @@ fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
 /// uses them and this program does not.
 fn unused(demand: &Demand) -> impl Iterator<Item = Finding> {
     demand.unused.iter().map(|((element, key), (count, place))| {
-        let message = format!("{key} of <{element}> has no effect ({count} times)");
+        let message = format!("{key} of <{element}> has no effect ({})", counted(count, "time"));
         let hint = "correct its name, or delete the attribute if the traffic does not depend on it";
         Finding::warning("no-effect", place.clone(), message, hint)
     })

@@ -24,6 +24,32 @@ fn parse(text: &str) -> Result<Sweep, Error> {
     Sweep::parse(text, "s.toml", "s", Path::new("out"))
 }
 
+/// The guide has every key of the tables of a sweep file.
+#[test]
+fn every_key_is_in_the_guide() {
+    let page = include_str!("../../docs/guide/sweeps.md");
+    let refused = |table: &str| {
+        let found = match table {
+            "evaluate" => toml::from_str::<Evaluate>("no = 1").map(|_| ()),
+            "reference" => toml::from_str::<Reference>("no = 1").map(|_| ()),
+            _ => toml::from_str::<Contrast>("no = 1").map(|_| ()),
+        };
+        found.expect_err("there is no such key").message().to_owned()
+    };
+    for (table, next) in
+        [("evaluate", "`[[reference]]`"), ("reference", "`[[contrast]]`"), ("contrast", "A `when`")]
+    {
+        let (from, to) = (format!("| `[[{table}]]` |"), page.find(next).expect("a table"));
+        let rows = &page[page.find(&from).expect("a row")..to];
+        let known = refused(table);
+        let keys: Vec<&str> = known.split('`').skip(3).step_by(2).collect();
+        assert!(keys.len() > 4, "{known}");
+        for key in keys {
+            assert!(rows.contains(&format!("`{key}`")), "{table}: {key}");
+        }
+    }
+}
+
 #[test]
 fn a_grid_becomes_cells_in_the_order_of_seeds() {
     let sweep = parse(FILE).unwrap();

@@ -79,6 +79,30 @@ fn trial(scenario: &Scenario, steps: u32) -> Trial {
     trial
 }
 
+/// Polygons that hide nobody, and those on a road, are most likely in the wrong place.
+#[test]
+fn polygons_in_the_wrong_place_are_told() {
+    let folder = folder();
+    let file = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/blind_crossing.xml");
+    let mut scenario = Scenario::load(Path::new(file)).expect("a scenario");
+    let mut told = |shape: Option<&str>| -> Vec<&str> {
+        if let Some(shape) = shape {
+            let moved = folder.path().join("moved.add.xml");
+            let text = format!(
+                "<additional><poly id=\"a\" type=\"building\" shape=\"{shape}\"/></additional>"
+            );
+            fs::write(&moved, text).unwrap();
+            scenario.occlusion.as_mut().expect("buildings").file = moved;
+        }
+        let found = trial(&scenario, 20).findings(&scenario);
+        let kinds = found.iter().map(|finding| finding.kind);
+        kinds.filter(|kind| ["hides-nobody", "polygon-on-road"].contains(kind)).collect()
+    };
+    assert_eq!(told(None), [""; 0]);
+    assert_eq!(told(Some("-500,-500 -480,-500 -480,-480 -500,-480")), ["hides-nobody"]);
+    assert_eq!(told(Some("-500,-500 500,-500 500,500 -500,500")), ["hides-nobody", "polygon-on-road"]);
+}
+
 #[test]
 fn routes_are_judged_by_the_class_of_who_drives() {
     let folder = folder();

@@ -331,6 +331,16 @@ impl Workplace {
     }
 }
 
+/// The example of a sweep file is one.
+#[test]
+fn the_sweep_file_of_the_guide_can_be_run() {
+    let place = Workplace::new();
+    let page = Page::read(&root().join("docs/guide/sweeps.md"));
+    let file = place.folder.path().join("example.toml");
+    fs::write(file, &page.blocks("toml")[0]).expect("written");
+    place.shell("iwol sweep example.toml --dry-run | grep -q '15 cells'");
+}
+
 /// Runs the commands of each page in order, and several pages at the same time. Each page has a
 /// folder of its own with the scenarios, experiments and policies of the repository. Pages that begin
 /// with trained runs find them there.

@@ -13,7 +13,7 @@ use crate::algo::scene::Scene;
 use crate::algo::settings::Settings;
 use crate::env::EnvSpec;
 use crate::nn::graph::with_self_loops;
-use crate::nn::{Activation, Attention, Init, Layer, Linear, Reach};
+use crate::nn::{Activation, Attention, Init, Layer, Linear, Mlp, Reach};
 
 /// A policy on the agent's own observation.
 pub(super) enum Actor {
@@ -76,8 +76,9 @@ impl Actor {
 pub(super) enum CriticInput {
     /// The agent's observation and its view of the privileged state.
     Privileged(Encoder),
-    /// The agent's embedding and the message that it receives.
-    Messages(Box<MessageTrunk>),
+    /// The agent's embedding and the message that it receives, and its view of the privileged state
+    /// if the settings say so.
+    Messages(Box<MessageTrunk>, Option<Mlp>),
 }
 
 /// The critic: Q of each agent, from its features and its own action, and by attention from the
@@ -109,7 +110,12 @@ impl Critic {
                 &settings.iwol,
                 None,
             );
-            (CriticInput::Messages(Box::new(trunk)), hidden + settings.iwol.message)
+            let (known, normalised) = (spec.state.len() as i64, spec.state.normalised);
+            let state = settings.iwol.privileged_value.then(|| {
+                Mlp::build(builder.of(CRITIC).sub("state"), known, hidden, normalised)
+            });
+            let seen = hidden + settings.iwol.message + if state.is_some() { hidden } else { 0 };
+            (CriticInput::Messages(Box::new(trunk), state), seen)
         } else {
             let features = spec.observation.join(&spec.state);
             (
@@ -146,7 +152,7 @@ impl Critic {
                 let x = Tensor::cat(&[&view.observation, &view.state], -1);
                 (encoder.forward(&x, &nothing, &nothing).0, None)
             }
-            CriticInput::Messages(trunk) => {
+            CriticInput::Messages(trunk, state) => {
                 let scene = Scene {
                     observation: view.observation.shallow_clone(),
                     keep: view.comm.diagonal(0, 1, 2).ones_like(),
@@ -159,10 +165,12 @@ impl Critic {
                 };
                 let heard = trunk.forward(&scene, None);
                 let message = heard.packing.unpack(&heard.message);
-                (
-                    Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1),
-                    Some(message),
-                )
+                let read = Tensor::cat(&[&message, &heard.packing.unpack(&heard.embedding)], -1);
+                let read = match state {
+                    None => read,
+                    Some(mlp) => Tensor::cat(&[&read, &mlp.forward(&view.state)], -1),
+                };
+                (read, Some(message))
             }
         }
     }

@@ -65,6 +65,11 @@ impl Setup {
             Some(Origin::Given(place)) => !place.starts_with("--"),
             _ => true,
         });
+        if checkpoint.is_some() {
+            for line in config::unread(&args.set, &config.algorithm) {
+                say!("{line}");
+            }
+        }
         let run = args.run.as_deref().and_then(RunDir::of);
         if let (Some(run), TaskSource::Scenario(scenario)) = (run, &place) {
             tell_changes(args, &run, scenario, &replaced);
@@ -101,6 +106,11 @@ impl Setup {
     pub(super) fn controller(&self) -> Option<(&'static str, Box<dyn Controller + '_>)> {
         let (learner, channel) = self.learned.as_ref()?;
         Some((learner.name(), Box::new(LearnedPolicy { learner: &**learner, channel: *channel })))
+    }
+
+    /// Whether the trained policy's agents hear those of other episodes.
+    pub(super) fn is_shuffled(&self) -> bool {
+        self.learned.as_ref().is_some_and(|(_, channel)| channel.shuffled)
     }
 
     /// Returns the policy of an ONNX file.

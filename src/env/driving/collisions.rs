@@ -39,19 +39,29 @@ pub(super) struct Collisions {
     partners: Vec<Option<Partner>>,
     /// The colliding pairs, for comparison with SUMO's.
     pub(super) pairs: Pairs,
-    /// Colliding pairs with an agent that was driving, counted in each step.
+    /// Number of colliding pairs with an agent that was driving.
     pub(super) crashes: u32,
+    /// The slots of these pairs.
+    crashed: Vec<(usize, usize)>,
 }
 
 impl Collisions {
     pub(super) fn new(slots: usize) -> Self {
-        Self { partners: vec![None; slots], pairs: Pairs::default(), crashes: 0 }
+        let crashed = Vec::with_capacity(slots);
+        Self { partners: vec![None; slots], pairs: Pairs::default(), crashes: 0, crashed }
     }
 
     /// Begins a new episode.
     pub(super) fn begin(&mut self) {
         self.pairs.clear();
         self.crashes = 0;
+        self.crashed.clear();
+    }
+
+    /// Notes that an agent's slot gets another vehicle, which forms pairs of its own.
+    pub(super) fn renew(&mut self, slot: usize) {
+        self.pairs.renew(slot as u32);
+        self.crashed.retain(|&(j, i)| j != slot && i != slot);
     }
 
     /// Returns the vehicle that the vehicle of a slot overlapped with in the last step.
@@ -85,7 +95,11 @@ impl Collisions {
                     continue;
                 }
                 let drives = |k: usize| k < agents && moving(k);
-                self.crashes += u32::from(drives(i) || drives(j));
+                // An agent that overlaps with another as it enters crashes one step later.
+                if (drives(i) || drives(j)) && !self.crashed.contains(&(j, i)) {
+                    self.crashes += 1;
+                    self.crashed.push((j, i));
+                }
                 let follows = |a: usize, b: usize| {
                     let gap =
                         map.routes[slots[a].route].gap_to(slots[a].s, slots[b].route, slots[b].s);

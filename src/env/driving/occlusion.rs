@@ -41,6 +41,25 @@ impl Walls {
             .any(|outline| outline.sides().any(|side| cross(a, b, side)))
     }
 
+    /// Whether there is no polygon.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.polygons.is_empty()
+    }
+
+    /// Returns whether a point is in a polygon.
+    pub(crate) fn contain(&self, [x, y]: [f64; 2]) -> bool {
+        let within = |outline: &Outline| {
+            // A line to the right leaves a polygon that it begins in: it crosses an odd number of
+            // sides.
+            let crossed = outline.sides().filter(|[a, b]| {
+                (a[1] > y) != (b[1] > y)
+                    && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+            });
+            crossed.count() % 2 == 1
+        };
+        self.polygons.iter().any(within)
+    }
+
     /// Returns the sides of all polygons.
     pub(crate) fn sides(&self) -> impl Iterator<Item = [[f64; 2]; 2]> + '_ {
         self.polygons.iter().flat_map(Outline::sides)
@@ -77,6 +96,18 @@ mod tests {
     fn square() -> Walls {
         let corners = vec![[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]];
         Walls::new(vec![Polygon { id: "a".into(), corners }])
+    }
+
+    #[test]
+    fn points_are_in_a_polygon_or_outside() {
+        // An L: the square without its upper right quarter.
+        let corners =
+            vec![[0.0, 0.0], [10.0, 0.0], [10.0, 5.0], [5.0, 5.0], [5.0, 10.0], [0.0, 10.0]];
+        let walls = Walls::new(vec![Polygon { id: "l".into(), corners }]);
+        let inside = [[1.0, 1.0], [9.0, 4.0], [4.0, 9.0]];
+        let outside = [[6.0, 6.0], [-1.0, 5.0], [11.0, 2.0], [4.0, 11.0], [9.0, -0.5]];
+        assert!(inside.iter().all(|point| walls.contain(*point)));
+        assert!(!outside.iter().any(|point| walls.contain(*point)));
     }
 
     proptest! {

@@ -154,8 +154,9 @@ impl Agent {
         let Placed { route, pos, mut speed, time, immediate } = self.placed;
         let (control, vehicle) = &task.abilities[self.kind];
         // A vehicle that departs later is on the road one step after its time.
+        let at_once = immediate || time <= MARGIN;
         let entered =
-            if immediate { 0 } else { ((time - MARGIN) / control.interval).ceil() as u32 + 1 };
+            if at_once { 0 } else { ((time - MARGIN) / control.interval).ceil() as u32 + 1 };
         let route = &task.map.routes[route];
         let (mut s, mut steps) = (route.path.arc(0, pos).unwrap_or(pos), 0);
         while s < route.arrival && steps < task.scenario.termination.horizon {

@@ -35,6 +35,8 @@ struct Pace {
 
 /// The trips of an episode in numbers. Shares are fractions of `count`.
 pub(super) struct Counts {
+    /// Number of trips that have begun; the other numbers are of those that count.
+    pub(super) begun: f64,
     pub(super) count: f64,
     pub(super) arrived: f64,
     pub(super) crashed: f64,
@@ -130,12 +132,14 @@ impl Trips {
         loitering: &[Loitering],
     ) -> Counts {
         let mut trips = self.all(steps, agents, loitering);
+        let begun = trips.len();
         trips.retain(|trip| !trip.unfinished || trip.is_late(task, steps));
         let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
         let delays: Vec<f64> = trips.iter().filter_map(|trip| trip.delay.map(f64::from)).collect();
         let interval = task.scenario.control.interval;
         let mean = |steps: &[f64]| interval * steps.iter().sum::<f64>() / steps.len() as f64;
         Counts {
+            begun: begun as f64,
             unfinished: count(|trip| trip.unfinished),
             delay: (!delays.is_empty()).then(|| mean(&delays)),
             count: count(|_| true).max(1.0),
@@ -149,7 +153,8 @@ impl Trips {
         }
     }
 
-    /// Returns the flow after `steps` steps; `queued` agents wait for their departure.
+    /// Returns the flow of the agents from route files after `steps` steps; `queued` agents wait for
+    /// their departure.
     pub(super) fn flow(
         &self,
         task: &Task,
@@ -159,7 +164,8 @@ impl Trips {
         queued: u32,
     ) -> FlowMetrics {
         let interval = task.scenario.control.interval;
-        let trips = self.all(steps, agents, loitering);
+        let mut trips = self.all(steps, agents, loitering);
+        trips.retain(|trip| trip.departure.is_some());
         let mean = |values: &[f64]| values.iter().sum::<f64>() / values.len().max(1) as f64;
         let departures = trips.iter().filter_map(|trip| Some((trip.entered, trip.departure?)));
         let arrived = trips.iter().filter(|trip| trip.outcome.arrived);

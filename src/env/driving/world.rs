@@ -369,7 +369,7 @@ impl World {
                 self.frame.start[i] = 1.0;
                 Signals::enter(&self.task.map.traffic_lights, slot);
                 self.loitering[i] = Loitering::default();
-                self.collisions.pairs.renew(i as u32);
+                self.collisions.renew(i);
                 self.background.renew(i);
             }
         }

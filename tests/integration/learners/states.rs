@@ -6,7 +6,9 @@ use iwol_sumo::algo::{self};
 use iwol_sumo::rng::Seed;
 use tch::Tensor;
 
-use super::{PACE, bits, build, complete, each, noise, observation, random_rollout, small, spec};
+use super::{
+    PACE, bits, build, complete, each, loud, noise, observation, random_rollout, small, spec,
+};
 
 #[test]
 fn averaged_weights_follow_and_can_be_exchanged() {
@@ -81,6 +83,40 @@ fn a_state_is_taken_over_whole_or_not_at_all() {
         drop(state.remove(0));
         assert!(fresh.load(&state).is_err());
     });
+}
+
+/// The value functions of IWoL read the privileged state if, and only if, the settings say so.
+#[test]
+fn value_functions_of_iwol_are_privileged_on_request() {
+    for name in ["im-iwol", "ex-iwol", "maddpg-iwol"] {
+        for privileged in [false, true] {
+            let mut settings = small(EncoderKind::Mlp);
+            settings.iwol.privileged_value = privileged;
+            let mut learner = loud(name, &spec(4), &settings);
+            let input = observation(&*learner, noise(1, &[2, 4, 4]), complete(2, 4));
+            let value = |seed| learner.inspect(&input, &noise(seed, &[2, 4, 3])).value;
+            let [one, other] = [2, 3].map(|seed| value(seed).expect("a value without memory"));
+            assert_eq!(one.equal(&other), !privileged, "{name} {privileged}");
+            let rollout = random_rollout(&*learner, 4, 3);
+            learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+        }
+    }
+}
+
+/// World decoders can reach features of any magnitude that the environment declares.
+#[test]
+fn targets_of_world_decoders_lie_within_their_reach() {
+    let mut spec = spec(4);
+    (spec.state.list[1].low, spec.state.list[1].high) = (-0.5, 4.0);
+    for name in ["im-iwol", "ex-iwol", "maddpg-iwol", "magic", "commformer"] {
+        let learner = build(name, &spec, &small(EncoderKind::Mlp), 1);
+        let input = observation(&*learner, noise(1, &[2, 4, 4]), complete(2, 4));
+        let state = noise(2, &[2, 4, 3]);
+        let told = learner.reconstruct(&input, &state);
+        let world = told.iter().find(|told| told.name == "world").expect("a world decoder");
+        let expected = &state / Tensor::from_slice(&[1.0_f32, 4.0, 1.0]);
+        assert!(world.target.equal(&expected), "{name}");
+    }
 }
 
 /// Predictions of decoders that are not trained are not reported.

@@ -81,8 +81,13 @@ fn vehicles_come_with_their_probability_within_their_window_and_not_before() {
 #[test]
 fn delay_is_what_an_agent_takes_longer_than_alone() {
     let task = one_lane(2);
-    let delay = |waits: u32| {
-        let (mut world, mut rails) = (world(&task, 3), Rails::new(&task));
+    let mut scenario = task.scenario.clone();
+    for spawn in scenario.nets.iter_mut().flat_map(|net| &mut net.spawns) {
+        spawn.departure.end = 0.0;
+    }
+    let at_once = Arc::new(Task::new(&scenario, 2).expect("a task"));
+    let delay = |task: &Arc<Task>, waits: u32| {
+        let (mut world, mut rails) = (world(task, 3), Rails::new(task));
         // An episode in which one vehicle comes.
         for episode in 0.. {
             world.reset(episode);
@@ -99,14 +104,18 @@ fn delay_is_what_an_agent_takes_longer_than_alone() {
             };
             if driven.iter().filter(|steps| **steps > 0).count() == 1 {
                 assert_eq!(record.success, 1.0);
-                return record.driving().delay.expect("it arrived");
+                return (record.driving().delay.expect("it arrived"), record.episode_length);
             }
         }
         unreachable!("an episode with one vehicle comes")
     };
-    assert_eq!(delay(0), 0.0);
-    let late = delay(30);
-    assert!((6.0..8.0).contains(&late), "{late}");
+    // Vehicles that depart within a window, and vehicles that depart with the episode, at speed.
+    for task in [&task, &at_once] {
+        let ((none, length), (late, longer)) = (delay(task, 0), delay(task, 30));
+        assert_eq!(none, 0.0);
+        let expected = f64::from(longer - length) * task.scenario.control.interval;
+        assert!((late - expected).abs() < 1e-9 && (6.0..8.0).contains(&late), "{late} {expected}");
+    }
 }
 
 /// The four buildings at the corners of the intersection, whose centre is at (41.75, 1.75), as a SUMO

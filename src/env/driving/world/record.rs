@@ -21,7 +21,7 @@ impl World {
         let has_signals = !task.map.traffic_lights.lights.is_empty();
         let total = self.rewards.total;
         // Rewards are per slot where agents come from route files.
-        let per_agent = |departed| total * task.agents as f64 / f64::from(u32::max(departed, 1));
+        let per_agent = total * task.agents as f64 / trips.begun.max(1.0);
         let driving = DrivingRecord {
             safety: 1.0 - danger,
             crash: trips.crashed / n,
@@ -44,7 +44,7 @@ impl World {
             episode: self.episode.index,
             episode_length: self.episode.step,
             success,
-            reward: flow.map_or(total, |flow| per_agent(flow.departed)),
+            reward: if task.has_flow() { per_agent } else { total },
             driving: Some(driving),
             own: std::collections::BTreeMap::new(),
             interrupted,
