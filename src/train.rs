@@ -10,7 +10,6 @@ mod ahead;
 mod collect;
 mod error;
 mod files;
-mod last_action;
 mod meta;
 mod noise;
 mod run_dir;

@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
-use tch::{Device, Kind, Tensor, no_grad};
+use tch::{Kind, Tensor, no_grad};
 
 use super::decision::ActMode;
 use super::parameters::{ACTOR, ParameterBuilder};
@@ -157,11 +157,6 @@ impl GaussianHead {
         (action, log_prob)
     }
 
-    /// Returns the current standard deviation of each action dimension.
-    pub(super) fn deviations(&self) -> Vec<f32> {
-        Vec::try_from(self.log_std.detach().exp().to_device(Device::Cpu)).expect("numbers")
-    }
-
     /// Returns the current standard deviation, averaged over action dimensions.
     pub(super) fn std(&self) -> f64 {
         self.log_std.exp().mean(Kind::Float).double_value(&[])
@@ -179,6 +174,7 @@ mod tests {
     use super::*;
     use crate::nn::Params;
     use crate::rng::Seed;
+    use tch::Device;
 
     #[test]
     fn each_dimension_begins_where_the_environment_says_and_has_noise_of_its_own() {

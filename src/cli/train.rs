@@ -51,6 +51,19 @@ fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
     }
 }
 
+/// Refuses a folder with the history of a run whose checkpoints are gone: validations come with
+/// checkpoints.
+fn refuse_remains(dir: &RunDir) -> anyhow::Result<()> {
+    let history = dir.episodes();
+    if std::fs::metadata(&history).is_ok_and(|file| file.len() > 0) {
+        bail!(
+            "`{}` belongs to a run whose checkpoints are gone; choose another --out, or delete the folder",
+            history.display()
+        );
+    }
+    Ok(())
+}
+
 /// Returns the scenario's file, or the name of the environment.
 fn place_of(config: &Config) -> String {
     if config.environment.is_empty() {
@@ -135,6 +148,9 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             "`{}` contains a policy; start from it with --init-from, and choose another --out",
             dir.path().display()
         );
+    }
+    if !args.resume {
+        refuse_remains(&dir)?;
     }
     if args.resume && given.init_from.is_some() {
         bail!("--resume continues with the weights of the run; omit --init-from");

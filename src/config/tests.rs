@@ -4,7 +4,9 @@ use std::path::Path;
 
 use toml::Value;
 
-use super::{Config, Document, Error, Layers, Origin, PRESETS, Profile, Train, changes, flatten};
+use super::{
+    Config, Document, Error, Layers, Origin, PRESETS, Profile, Resolution, Train, changes, flatten,
+};
 use crate::algo::settings::Ppo;
 use crate::algo::{ComputeDevice, settings};
 use crate::scenario::Scenario;
@@ -132,6 +134,26 @@ fn the_resolved_configuration_is_a_configuration() {
         let config = resolve("", &sets).unwrap();
         assert_eq!(resolve(&config.to_toml(), &[]).unwrap(), config);
     }
+}
+
+/// A preset with numbers of scenarios serves environments without one.
+#[test]
+fn presets_serve_environments() {
+    let layers = Layers {
+        flags: [("environment", "navigation"), ("preset", "paper")]
+            .map(|(key, value)| (key, Value::String(value.to_owned())))
+            .to_vec(),
+        ..Layers::default()
+    };
+    let Resolution { config, .. } = layers.resolve().expect("valid settings");
+    assert_eq!((config.environment.as_str(), config.train.rollout_steps), ("navigation", 1000));
+}
+
+/// A number that is none has a place, as any other that is not allowed.
+#[test]
+fn what_is_not_a_number_is_refused_with_its_place() {
+    let said = message("", &["ppo.gamma=nan"]);
+    assert!(said.contains("--set ppo.gamma") && said.contains("allowed: 0 to 1"), "{said}");
 }
 
 /// What would be left out, or would have no effect, is refused.

@@ -43,6 +43,10 @@ impl Values {
     pub(super) fn preset(&mut self, preset: &Preset) {
         for (key, value) in flatten(&preset.table()) {
             let keys: Vec<&str> = key.split('.').collect();
+            if keys[0] == "scenario" && !self.has_scenario() {
+                // What a preset says of scenarios does not concern environments without one.
+                continue;
+            }
             self.set(&keys, value, Origin::Preset(preset.name));
         }
     }
@@ -104,6 +108,10 @@ impl Values {
         if flatten(&self.table).keys().any(|key| key.starts_with(&format!("{}.", keys.join(".")))) {
             return Err(bad("this is a group of settings; set one of them".to_owned()));
         }
+        if value.as_float().is_some_and(f64::is_nan) {
+            let allowed = super::schema::allowed(keys).unwrap_or_else(|| "a number".to_owned());
+            return Err(bad(format!("allowed: {allowed}")));
+        }
         let value = match keys {
             ["scenario", path @ ..] => {
                 scenario::checked(path, &value).unwrap_or(Ok(value)).map_err(bad)?
@@ -145,6 +153,11 @@ impl Values {
         });
         let groups = names().filter_map(|key| Some(key.rsplit_once('.')?.0));
         by_last.or_else(|| nearest(name, groups.chain(names()))).map(str::to_owned)
+    }
+
+    fn has_scenario(&self) -> bool {
+        let scenario = self.table.get("scenario").and_then(Value::as_table);
+        scenario.is_some_and(|values| values.values().any(Value::is_table))
     }
 
     fn set(&mut self, keys: &[&str], value: Value, origin: Origin) {

@@ -152,15 +152,12 @@ pub struct ActionDimension {
     pub initial_mean: f32,
     /// Factor on the scheduled standard deviation of the exploration noise.
     pub noise_scale: f32,
-    /// Index of the observation feature that repeats this number of the agent's last action, clipped
-    /// to -1..=1; `None` if agents do not observe it.
-    pub feature: Option<usize>,
 }
 
 impl ActionDimension {
     /// Returns a dimension with an initial mean of 0 and the scheduled noise.
     pub const fn named(name: &'static str) -> Self {
-        Self { name, initial_mean: 0.0, noise_scale: 1.0, feature: None }
+        Self { name, initial_mean: 0.0, noise_scale: 1.0 }
     }
 }
 

@@ -90,16 +90,14 @@ impl Cell {
 
     /// Returns the path of the result of an evaluation.
     pub fn result(&self, evaluate: &Evaluate, combination: &[(String, Value)]) -> PathBuf {
-        let name = match label(combination) {
-            none if none.is_empty() => evaluate.name.clone(),
-            label => format!("{}_{label}", evaluate.name),
-        };
-        self.folder.join("evaluations").join(format!("{name}.json"))
+        self.folder.join("evaluations").join(evaluate.result(combination))
     }
 
-    /// Returns steps and seconds of the training; `None` if it is not finished.
+    /// Returns steps and seconds of the training; `None` if it is not finished, or has gone on since.
     pub fn trained(&self) -> Option<Trained> {
-        serde_json::from_slice(&std::fs::read(self.trained_mark()).ok()?).ok()
+        let trained: Trained =
+            serde_json::from_slice(&std::fs::read(self.trained_mark()).ok()?).ok()?;
+        (self.steps() <= trained.steps).then_some(trained)
     }
 
     /// Returns the progress of the cell.
@@ -173,12 +171,16 @@ impl Cell {
     /// [`Error::Changed`] for other settings, [`Error::Scenario`] for a changed scenario.
     pub fn check(&self) -> Result<(), Error> {
         let begun = self.run().last().exists() || self.trained().is_some();
-        let Ok(text) = std::fs::read_to_string(self.run().config()) else { return Ok(()) };
         if !begun {
             return Ok(());
         }
-        let table = |text: &str| {
-            let mut table: Table = toml::from_str(text).unwrap_or_default();
+        let file = self.run().config();
+        let read = std::fs::read_to_string(&file).map_err(record::Error::io("read", &file))?;
+        let was: Table = toml::from_str(&read).map_err(|source| Error::Settings {
+            path: file,
+            message: source.message().to_owned(),
+        })?;
+        let own = |mut table: Table| {
             table.remove("simulation");
             table.remove("device");
             config::remove_untold(&mut table, &self.config.algorithm);
@@ -190,7 +192,8 @@ impl Cell {
             }
             flat
         };
-        let (mut was, is) = (table(&text), table(&self.config.to_toml()));
+        let is = toml::from_str(&self.config.to_toml()).expect("settings are TOML");
+        let (mut was, is) = (own(was), own(is));
         // The folder that contains the other cell does not matter.
         if let (Some(after), Some(Value::String(path))) = (&self.after, was.get("init_from"))
             && Path::new(path).ends_with(after)
@@ -284,11 +287,19 @@ impl Cell {
         Ok(write_atomic(&kept.trained_mark(), text.as_bytes())?)
     }
 
-    /// Marks the run as trained, and removes the mark of a failure.
+    /// Marks the run as trained, and removes the mark of a failure and the results of evaluations of
+    /// earlier weights.
     ///
     /// # Errors
     /// If a file cannot be written or removed.
     pub fn mark_trained(&self) -> Result<(), Error> {
+        let evaluated = self.folder.join("evaluations");
+        match std::fs::remove_dir_all(&evaluated) {
+            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+                return Err(record::Error::io("remove", &evaluated)(source).into());
+            }
+            _ => {}
+        }
         let trained = Trained { steps: self.steps(), seconds: self.seconds() };
         let text = serde_json::to_string(&trained).expect("two numbers");
         write_atomic(&self.trained_mark(), text.as_bytes())?;

@@ -32,6 +32,14 @@ pub enum Error {
         /// The parser's reason.
         source: serde_json::Error,
     },
+    /// The settings in a cell's folder are damaged.
+    #[error("`{}` is damaged ({message}), so that it is not known which run this is; restore it, or delete the run", path.display())]
+    Settings {
+        /// The file.
+        path: PathBuf,
+        /// The parser's reason.
+        message: String,
+    },
     /// A file cannot be read or written.
     #[error(transparent)]
     Record(#[from] crate::record::Error),

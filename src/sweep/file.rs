@@ -65,6 +65,7 @@ impl File {
         let checked = parsed
             .check_grid()
             .and_then(|()| parsed.check_evaluations())
+            .and_then(|()| parsed.check_results())
             .and_then(|()| parsed.check_references())
             .and_then(|()| parsed.contrast.iter().try_for_each(|c| c.check(&parsed.evaluate)));
         checked.map_err(|message| wrong(file, message))?;
@@ -84,6 +85,23 @@ impl File {
         };
         let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
         Err(format!("[grid] {key}: give a list of values, e.g. {key} = [{example}]"))
+    }
+
+    /// Checks that each evaluation has a file of its own for its result.
+    fn check_results(&self) -> Result<(), String> {
+        let mut known: BTreeMap<String, &str> = BTreeMap::new();
+        for evaluate in &self.evaluate {
+            for combination in evaluate.combinations() {
+                let result = evaluate.result(&combination);
+                if let Some(other) = known.insert(result.clone(), &evaluate.name) {
+                    return Err(format!(
+                        "[[evaluate]] `{}` and `{other}` both write {result}; give one of them another `name`",
+                        evaluate.name
+                    ));
+                }
+            }
+        }
+        Ok(())
     }
 
     fn check_evaluations(&self) -> Result<(), String> {

@@ -113,6 +113,14 @@ impl Evaluate {
         200
     }
 
+    /// Returns the name of the file with the result for a combination of this grid.
+    fn result(&self, combination: &[(String, Value)]) -> String {
+        match label(combination) {
+            none if none.is_empty() => format!("{}.json", self.name),
+            label => format!("{}_{label}.json", self.name),
+        }
+    }
+
     /// Returns whether this evaluation applies to a cell.
     pub fn applies(&self, cell: &Cell) -> bool {
         holds(&self.when, |key| cell.value(key))

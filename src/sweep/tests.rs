@@ -184,6 +184,54 @@ fn a_run_of_a_scenario_that_has_changed_is_refused() {
     assert!(matches!(check("{\"scenario\": \"0\"}"), Err(Error::Scenario { .. })));
 }
 
+/// Without its settings, nobody knows which run a folder contains.
+#[test]
+fn a_run_without_readable_settings_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    std::fs::create_dir_all(&cell.folder).unwrap();
+    cell.check().expect("nothing was trained");
+    cell.mark_trained().unwrap();
+    assert!(matches!(cell.check(), Err(Error::Record(_))));
+    std::fs::write(cell.run().config(), "agents = [").unwrap();
+    assert!(matches!(cell.check(), Err(Error::Settings { .. })));
+    std::fs::write(cell.run().config(), cell.config.to_toml()).unwrap();
+    cell.check().expect("the same settings");
+}
+
+/// Results belong to the weights that were evaluated.
+#[test]
+fn a_run_that_went_on_is_evaluated_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    let results = cell.folder.join("evaluations");
+    std::fs::create_dir_all(&results).unwrap();
+    let log = |step: u64| std::fs::write(cell.run().metrics(), format!("{{\"step\": {step}}}\n"));
+    log(4096).unwrap();
+    cell.mark_trained().unwrap();
+    assert!(cell.trained().is_some_and(|trained| trained.steps == 4096));
+    std::fs::create_dir_all(&results).unwrap();
+    std::fs::write(results.join("range.json"), "{}").unwrap();
+    log(8192).unwrap();
+    assert!(cell.trained().is_none());
+    cell.mark_trained().unwrap();
+    assert!(cell.trained().is_some() && !results.join("range.json").exists());
+}
+
+#[test]
+fn two_evaluations_do_not_write_the_same_file() {
+    let more = |name: &str| {
+        let text = format!("{FILE}\n[[evaluate]]\nname = \"{name}\"");
+        parse(&text).map(|_| ()).map_err(|error| error.to_string())
+    };
+    assert_eq!(more("other"), Ok(()));
+    let label = label(&[("scenario.communication.range".to_owned(), Value::Float(10.0))]);
+    let error = more(&format!("range_{label}")).expect_err("must be refused");
+    assert!(error.contains("both write"), "{error}");
+}
+
 #[test]
 fn what_is_kept_replaces_no_run() {
     let folder = tempfile::tempdir().unwrap();

@@ -2,7 +2,6 @@
 
 use tch::Tensor;
 
-use super::last_action::LastAction;
 use super::noise::CorrelatedNoise;
 use super::{Error, Mark, Timers, timed};
 use crate::algo::settings::NoiseMode;
@@ -19,7 +18,6 @@ pub(super) struct Collector {
     pub worlds: Box<dyn Worlds>,
     /// Memory of the policy before the next decision, `[E, N, M]`.
     pub memory: Tensor,
-    pub last_action: LastAction,
     /// Training episodes that ended in the last iteration.
     pub finished: Vec<EpisodeRecord>,
     pub timers: Timers,
@@ -64,13 +62,9 @@ impl Collector {
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { log_std as f32 } else { 0.0 };
-        let deviations = policy.deviations();
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
                 store_row(&*self.worlds, &self.memory, rollout, t);
-                if correlated && t > 0 {
-                    self.last_action.show(rollout, t);
-                }
             });
             disturb_messages(config.channel, policy, rollout, t, &seed);
             let decision = timed(&mut self.timers.act, || {
@@ -109,10 +103,6 @@ impl Collector {
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut rollout.action, t);
                 copy_out(&decision.log_prob, &mut rollout.log_prob, t);
-                if correlated {
-                    let actions = &rollout.action[rollout.at(t, s.actions)];
-                    self.last_action.note(actions, noise.values(), &deviations);
-                }
             });
             self.memory = decision.memory;
             let actions = rollout.at(t, s.actions);
@@ -255,49 +245,6 @@ mod tests {
                     "step {t}, entry {k}: {found} {density}"
                 );
             }
-        }
-    }
-
-    /// Where noise lasts, agents observe their last mean action, and otherwise their last action.
-    #[test]
-    fn agents_do_not_observe_noise_that_lasts() {
-        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
-        for correlation in [0.95, 0.0] {
-            let flags = [("scenario", scenario), ("algorithm", "mappo")];
-            let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
-            let (mut config, scenario) =
-                Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
-            (config.train.envs, config.train.rollout_steps) = (2, 6);
-            config.learner.exploration.correlation = correlation;
-            let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
-            let spec = trainer.environment.spec();
-            let place = |name: &str| {
-                spec.observation.list.iter().position(|f| f.name == name).expect("a feature")
-            };
-            let features = [place("steering.last_steer"), place("ego.last_action")];
-            trainer.collect(Seed::new(1)).expect("SUMO runs");
-            let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
-            let mut differing = 0;
-            for t in 1..s.steps {
-                let input = Observation::at(rollout, t - 1, &Tensor::zeros([2, 5, 0], FLOAT));
-                let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
-                let means = Vec::<f32>::try_from(mean.reshape([-1])).expect("numbers");
-                let actions = &rollout.action[rollout.at(t - 1, 2)];
-                for agent in 0..s.envs * s.agents {
-                    let row = rollout.at(t, 1).start + agent;
-                    if rollout.active[row] == 0.0 || rollout.start[row] > 0.0 {
-                        continue;
-                    }
-                    for (d, feature) in features.into_iter().enumerate() {
-                        let seen = rollout.observation[row * s.observation + feature];
-                        let done = [&means[..], actions].map(|of| of[agent * 2 + d].clamp(-1.0, 1.0));
-                        let expected = if correlation > 0.0 { done[0] } else { done[1] };
-                        assert!((seen - expected).abs() < 1e-5, "{t} {agent} {d}: {seen} {done:?}");
-                        differing += usize::from((done[0] - done[1]).abs() > 0.1);
-                    }
-                }
-            }
-            assert!(differing > 20, "{differing}");
         }
     }
 

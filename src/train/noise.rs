@@ -53,11 +53,6 @@ impl CorrelatedNoise {
         rng::fill_normal(rng, &mut self.values[entries]);
     }
 
-    /// Returns the current step's noise.
-    pub(super) fn values(&self) -> &[f32] {
-        &self.values
-    }
-
     /// Returns the standard normal numbers that were drawn for the current step.
     pub(super) fn drawn(&self) -> &[f32] {
         &self.drawn

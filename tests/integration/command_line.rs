@@ -101,6 +101,21 @@ fn a_missing_sumo_is_named() {
     "#);
 }
 
+/// The history of a run whose checkpoints are gone is not overwritten.
+#[test]
+fn the_remains_of_a_run_are_left_alone() {
+    let dir = folder();
+    let run = dir.path().join("run");
+    std::fs::create_dir_all(&run).expect("made");
+    for name in ["meta.json", "eval.jsonl"] {
+        std::fs::write(run.join(name), "{}\n").expect("written");
+    }
+    let output = train(&run, &[], &["--agents", "4", "--steps", "64"]).output().expect("it ran");
+    let said = text(&output.stderr);
+    assert!(said.contains("whose checkpoints are gone"), "{said}");
+    assert_eq!(std::fs::read_to_string(run.join("eval.jsonl")).expect("it is there"), "{}\n");
+}
+
 #[test]
 fn damaged_checkpoints_are_refused() {
     let dir = folder();

@@ -116,7 +116,7 @@ fn finish(
         }
         match wait(&mut start(cell, &job)?, stop, || show(&job.what))? {
             Some(0) if job.what == "train" => cell.mark_trained()?,
-            Some(0) => {}
+            Some(0) if cell.next(&sweep.evaluations)?.as_ref() != Some(&job) => {}
             _ if stop.load(Ordering::Relaxed) => return Ok(End::Stopped),
             _ if cell.run().is_locked() => return Ok(End::Busy),
             Some(code) if code == i32::from(INTERRUPTED) => return Ok(End::Interrupted),
