@@ -267,7 +267,8 @@ mod tests {
     /// Episodes that only fill a window of 1000 steps count for nothing else.
     #[test]
     fn what_a_policy_tells_is_of_the_requested_episodes() {
-        let environment = NamedEnvironment::find("navigation").expect("a built-in one").environment();
+        let environment =
+            NamedEnvironment::find("navigation").expect("a built-in one").environment();
         let observer = EvaluationObserver {
             stop: &AtomicBool::new(false),
             report: &mut |_| {},

@@ -391,11 +391,8 @@ mod tests {
             Tensor::from_slice(&[false, true, false, false, false, false, false, false, false]),
         );
         let there: Vec<f32> = present.iter().map(|present| f32::from(u8::from(*present))).collect();
-        let (sent, silent) = of_other_worlds(
-            &f,
-            &silent.view([3, 3]),
-            &Tensor::from_slice(&there).view([3, 3]),
-        );
+        let (sent, silent) =
+            of_other_worlds(&f, &silent.view([3, 3]), &Tensor::from_slice(&there).view([3, 3]));
         assert_eq!(numbers(&sent), [5.0, 5.0, 5.0, 0.0, 1.0, 0.0, 0.0, 1.0, 5.0]);
         let expected = [0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0];
         assert_eq!(numbers(&silent), expected, "a newcomer's delayed message is missing");

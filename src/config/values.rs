@@ -108,13 +108,13 @@ impl Values {
         if flatten(&self.table).keys().any(|key| key.starts_with(&format!("{}.", keys.join(".")))) {
             return Err(bad("this is a group of settings; set one of them".to_owned()));
         }
-        if value.as_float().is_some_and(f64::is_nan) {
-            let allowed = super::schema::allowed(keys).unwrap_or_else(|| "a number".to_owned());
-            return Err(bad(format!("allowed: {allowed}")));
-        }
         let value = match keys {
             ["scenario", path @ ..] => {
                 scenario::checked(path, &value).unwrap_or(Ok(value)).map_err(bad)?
+            }
+            _ if value.as_float().is_some_and(f64::is_nan) => {
+                let allowed = super::schema::allowed(keys).unwrap_or_else(|| "a number".to_owned());
+                return Err(bad(format!("allowed: {allowed}")));
             }
             _ => value,
         };

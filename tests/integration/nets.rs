@@ -100,7 +100,10 @@ fn polygons_in_the_wrong_place_are_told() {
     };
     assert_eq!(told(None), [""; 0]);
     assert_eq!(told(Some("-500,-500 -480,-500 -480,-480 -500,-480")), ["hides-nobody"]);
-    assert_eq!(told(Some("-500,-500 500,-500 500,500 -500,500")), ["hides-nobody", "polygon-on-road"]);
+    assert_eq!(
+        told(Some("-500,-500 500,-500 500,500 -500,500")),
+        ["hides-nobody", "polygon-on-road"]
+    );
 }
 
 #[test]

@@ -111,9 +111,10 @@ impl Critic {
                 None,
             );
             let (known, normalised) = (spec.state.len() as i64, spec.state.normalised);
-            let state = settings.iwol.privileged_value.then(|| {
-                Mlp::build(builder.of(CRITIC).sub("state"), known, hidden, normalised)
-            });
+            let state = settings
+                .iwol
+                .privileged_value
+                .then(|| Mlp::build(builder.of(CRITIC).sub("state"), known, hidden, normalised));
             let seen = hidden + settings.iwol.message + if state.is_some() { hidden } else { 0 };
             (CriticInput::Messages(Box::new(trunk), state), seen)
         } else {

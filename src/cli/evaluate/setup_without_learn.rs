@@ -89,6 +89,12 @@ impl Setup {
         None
     }
 
+    /// Whether the trained policy's agents hear those of other episodes: there is none.
+    #[allow(clippy::unused_self, reason = "builds with the feature `learn` may have one")]
+    pub(super) fn is_shuffled(&self) -> bool {
+        false
+    }
+
     /// Returns the policy of an ONNX file: none.
     #[allow(clippy::unused_self, reason = "builds with the feature `learn` have some")]
     pub(super) fn model(&self, _: &Path) -> anyhow::Result<Box<dyn Controller>> {

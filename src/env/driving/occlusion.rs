@@ -52,8 +52,7 @@ impl Walls {
             // A line to the right leaves a polygon that it begins in: it crosses an odd number of
             // sides.
             let crossed = outline.sides().filter(|[a, b]| {
-                (a[1] > y) != (b[1] > y)
-                    && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
+                (a[1] > y) != (b[1] > y) && x < a[0] + (y - a[1]) / (b[1] - a[1]) * (b[0] - a[0])
             });
             crossed.count() % 2 == 1
         };
