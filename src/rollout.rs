@@ -68,8 +68,8 @@ pub struct Rollout {
     /// Shift of each action's mean by the noise of earlier steps, in units of the scheduled
     /// standard deviation, `[T, E, N, A]`; empty where the noise is independent from step to step.
     pub carried: Vec<f32>,
-    /// Logarithm of the share of the standard deviation that is drawn anew at each step, `[T]`;
-    /// empty where the noise is independent from step to step.
+    /// Logarithm of the share of each dimension's standard deviation that is drawn anew at each step,
+    /// `[T, A]`; empty where the noise is independent from step to step.
     pub log_fresh: Vec<f32>,
     /// Each agent's own reward, `[T, E, N]`.
     pub reward: Vec<f32>,

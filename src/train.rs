@@ -10,6 +10,7 @@ mod ahead;
 mod collect;
 mod error;
 mod files;
+mod last_action;
 mod meta;
 mod noise;
 mod run_dir;

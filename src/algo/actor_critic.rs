@@ -287,6 +287,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         N::GRAPH_LASTS
     }
 
+    fn deviations(&self) -> Vec<f32> {
+        self.networks().head().deviations()
+    }
+
     fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         let device = self.device;
         let decide = |networks: &N, input: &Observation, mode: &ActMode| {

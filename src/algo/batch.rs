@@ -66,11 +66,12 @@ impl Batch {
             |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
         let start = tensor(&rollout.start, &[closed, n]);
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
-        let per_step = [s.steps as i64, 1, 1];
-        let fresh = if rollout.log_fresh.is_empty() {
-            Tensor::zeros(per_step, (Kind::Float, device))
+        let steps = s.steps as i64;
+        let (fresh, dimensions) = if rollout.log_fresh.is_empty() {
+            (Tensor::zeros([steps, 1, 1, 1], (Kind::Float, device)), 1)
         } else {
-            tensor(&rollout.log_fresh, &per_step)
+            let dimensions = s.actions as i64;
+            (tensor(&rollout.log_fresh, &[steps, 1, 1, dimensions]), dimensions)
         };
         let policy_graph = if s.graph_noise > 0 { closed } else { 0 };
         Self {
@@ -89,8 +90,8 @@ impl Batch {
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
             carried: tensor(&rollout.carried, &[-1, n, s.actions as i64]),
             log_fresh: fresh
-                .expand([s.steps as i64, s.envs as i64, n], false)
-                .reshape([rows, n, 1]),
+                .expand([steps, s.envs as i64, n, dimensions], false)
+                .reshape([rows, n, dimensions]),
             advantage: empty(),
             returns: empty(),
             value: empty(),

@@ -99,9 +99,9 @@ pub enum ActMode {
         /// Noise of the graphs, standard logistic times the noise scale, `[E, N, ..]`; empty for
         /// policies without a graph.
         graph: Tensor,
-        /// Logarithm of the share of the standard deviation that is drawn anew; 0 where noise is
-        /// independent from step to step.
-        log_fresh: f64,
+        /// Logarithm of the share of each dimension's standard deviation that is drawn anew, `[A]`;
+        /// empty where noise is independent from step to step.
+        log_fresh: Vec<f32>,
     },
 }
 
@@ -130,7 +130,7 @@ impl ActMode {
                 action: change(action),
                 carried: change(carried),
                 graph: change(graph),
-                log_fresh: *log_fresh,
+                log_fresh: log_fresh.clone(),
             },
         }
     }

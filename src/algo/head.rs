@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
-use tch::{Kind, Tensor, no_grad};
+use tch::{Device, Kind, Tensor, no_grad};
 
 use super::decision::ActMode;
 use super::parameters::{ACTOR, ParameterBuilder};
@@ -39,6 +39,8 @@ pub struct Exploration {
     /// constant variance). Correlated noise moves a vehicle further from its mean trajectory and so
     /// finds other orders of passing; but vehicles that must allow for it drive slowly (Hollenstein
     /// et al., AAAI 2024). Probabilities of actions are conditional on the noise of the step before.
+    /// The noise of steering is always independent from step to step
+    /// ([more](../lab/decision-process.md#noise-that-lasts-in-the-throttle-alone)).
     #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
     pub correlation: f64,
 }
@@ -147,7 +149,12 @@ impl GaussianHead {
         let (mean, action, log_std) = match mode {
             ActMode::Sample { action: noise, carried, log_fresh, .. } => {
                 let mean = shifted(&mean, &log_std, carried);
-                let log_std = log_std + *log_fresh;
+                let log_std = if log_fresh.is_empty() {
+                    log_std
+                } else {
+                    let fresh = Tensor::from_slice(log_fresh).to_device(log_std.device());
+                    log_std + fresh
+                };
                 let action = &mean + log_std.exp() * noise;
                 (mean, action, log_std)
             }
@@ -155,6 +162,11 @@ impl GaussianHead {
         };
         let log_prob = gaussian_log_prob(&mean, &log_std, &action);
         (action, log_prob)
+    }
+
+    /// Returns the current standard deviation of each action dimension.
+    pub(super) fn deviations(&self) -> Vec<f32> {
+        Vec::try_from(self.log_std.detach().exp().to_device(Device::Cpu)).expect("numbers")
     }
 
     /// Returns the current standard deviation, averaged over action dimensions.
@@ -174,7 +186,6 @@ mod tests {
     use super::*;
     use crate::nn::Params;
     use crate::rng::Seed;
-    use tch::Device;
 
     #[test]
     fn each_dimension_begins_where_the_environment_says_and_has_noise_of_its_own() {

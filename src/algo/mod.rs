@@ -302,6 +302,10 @@ pub trait Algorithm: Send {
         0
     }
 
+    /// Returns the standard deviation of each action dimension under [`ActMode::Sample`]; empty
+    /// where actions are discrete.
+    fn deviations(&self) -> Vec<f32>;
+
     /// Chooses actions, without gradients and without changing the learner.
     fn act(&self, input: &Observation, mode: &ActMode) -> Decision;
 

@@ -83,6 +83,15 @@ impl PolicyHead {
         }
     }
 
+    /// Returns the standard deviation of each dimension of continuous actions; empty for discrete
+    /// ones.
+    pub(super) fn deviations(&self) -> Vec<f32> {
+        match self {
+            Self::Gaussian(head) => head.deviations(),
+            Self::Categorical(_) => Vec::new(),
+        }
+    }
+
     /// Returns the standard deviation of continuous actions, averaged over their dimensions.
     pub(super) fn std(&self) -> Option<f64> {
         match self {

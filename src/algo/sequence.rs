@@ -240,7 +240,7 @@ impl Sequence {
                 ActMode::Sample { action, carried, graph, log_fresh } => {
                     let carried =
                         if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
-                    let (graph, log_fresh) = (graph.shallow_clone(), *log_fresh);
+                    let (graph, log_fresh) = (graph.shallow_clone(), log_fresh.clone());
                     let mode = ActMode::Sample { action: of(action), carried, graph, log_fresh };
                     self.head.sample(&read, &available, &mode)
                 }

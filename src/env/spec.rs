@@ -123,6 +123,14 @@ impl ActionSpace {
         }
     }
 
+    /// Returns of each number of an action whether its exploration noise may last.
+    pub fn noise_lasts(&self) -> Vec<bool> {
+        match self {
+            Self::Continuous(dimensions) => dimensions.iter().map(|one| one.noise_lasts).collect(),
+            Self::Discrete(_) => vec![false],
+        }
+    }
+
     /// Returns with how many numbers networks read an action: A, or K.
     pub fn encoded(&self) -> usize {
         self.choices().unwrap_or_else(|| self.len())
@@ -152,12 +160,18 @@ pub struct ActionDimension {
     pub initial_mean: f32,
     /// Factor on the scheduled standard deviation of the exploration noise.
     pub noise_scale: f32,
+    /// Whether exploration noise lasts where `exploration.correlation` asks for it. Otherwise it is
+    /// independent from step to step.
+    pub noise_lasts: bool,
+    /// Index of the observation feature that repeats this number of the agent's last action, clipped
+    /// to -1..=1; `None` if agents do not observe it.
+    pub feature: Option<usize>,
 }
 
 impl ActionDimension {
     /// Returns a dimension with an initial mean of 0 and the scheduled noise.
     pub const fn named(name: &'static str) -> Self {
-        Self { name, initial_mean: 0.0, noise_scale: 1.0 }
+        Self { name, initial_mean: 0.0, noise_scale: 1.0, noise_lasts: true, feature: None }
     }
 }
 

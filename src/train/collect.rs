@@ -2,6 +2,7 @@
 
 use tch::Tensor;
 
+use super::last_action::LastAction;
 use super::noise::CorrelatedNoise;
 use super::{Error, Mark, Timers, timed};
 use crate::algo::settings::NoiseMode;
@@ -18,6 +19,9 @@ pub(super) struct Collector {
     pub worlds: Box<dyn Worlds>,
     /// Memory of the policy before the next decision, `[E, N, M]`.
     pub memory: Tensor,
+    /// Whether the noise of each dimension of an action may last.
+    pub noise_lasts: Vec<bool>,
+    pub last_action: LastAction,
     /// Training episodes that ended in the last iteration.
     pub finished: Vec<EpisodeRecord>,
     pub timers: Timers,
@@ -52,19 +56,23 @@ impl Collector {
         let s = rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
         // The noise starts anew in each iteration: it depends on the iteration's number alone.
-        let discrete = s.choices > 0;
         let exploration = &config.learner.exploration;
-        let correlation = if discrete { 0.0 } else { exploration.correlation as f32 };
-        let mut noise = CorrelatedNoise::new(s.envs * s.agents * s.actions, correlation);
+        let correlation = exploration.correlation as f32;
+        let each = self.noise_lasts.iter().map(|&lasts| if lasts { correlation } else { 0.0 });
+        let mut noise = CorrelatedNoise::new(s.envs * s.agents, each.collect());
         let correlated = noise.is_correlated();
         rollout.carried.resize(if correlated { rollout.action.len() } else { 0 }, 0.0);
-        rollout.log_fresh.resize(if correlated { s.steps } else { 0 }, 0.0);
+        rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { log_std as f32 } else { 0.0 };
+        let deviations = policy.deviations();
         for t in 0..s.steps {
             timed(&mut self.timers.copy, || {
                 store_row(&*self.worlds, &self.memory, rollout, t);
+                if correlated && t > 0 {
+                    self.last_action.show(rollout, t);
+                }
             });
             disturb_messages(config.channel, policy, rollout, t, &seed);
             let decision = timed(&mut self.timers.act, || {
@@ -82,10 +90,12 @@ impl Collector {
                 if correlated {
                     let actions = rollout.at(t, s.actions);
                     rollout.carried[actions].copy_from_slice(noise.carried());
-                    rollout.log_fresh[t] = noise.log_fresh();
+                    rollout.log_fresh[t * s.actions..][..s.actions]
+                        .copy_from_slice(noise.log_fresh());
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                 }
-                let log_fresh = f64::from(noise.log_fresh());
+                let log_fresh =
+                    if correlated { noise.log_fresh().to_vec() } else { Vec::new() };
                 let graph = if s.graph_noise > 0 {
                     if policy.graph_lasts() {
                         rng = seed.child("graph").rng();
@@ -103,6 +113,10 @@ impl Collector {
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut rollout.action, t);
                 copy_out(&decision.log_prob, &mut rollout.log_prob, t);
+                if correlated {
+                    let actions = &rollout.action[rollout.at(t, s.actions)];
+                    self.last_action.note(actions, noise.values(), &deviations);
+                }
             });
             self.memory = decision.memory;
             let actions = rollout.at(t, s.actions);
@@ -200,6 +214,7 @@ mod tests {
     use toml::Value;
 
     use super::*;
+    use crate::algo::UpdateParameters;
     use crate::config::Layers;
 
     /// Where vehicles steer and noise is correlated, each action has the log density of the process
@@ -234,10 +249,11 @@ mod tests {
             ]
             .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
             for (k, found) in log_prob.iter().enumerate() {
-                let kept = if t == 0 { 0.0 } else { correlation };
+                // The dimensions are steering, whose noise never lasts, and throttle.
+                let kept = if t == 0 || k % 2 == 0 { 0.0 } else { correlation };
                 let deviation = log_std.exp() * (1.0 - kept * kept).sqrt();
                 let expected = f64::from(mean[k]) + log_std.exp() * f64::from(carried[k]);
-                assert_eq!(carried[k] == 0.0, t == 0, "noise lasts in every dimension");
+                assert_eq!(carried[k] == 0.0, kept == 0.0, "step {t}, entry {k}");
                 let z = (f64::from(action[k]) - expected) / deviation;
                 let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
                 assert!(
@@ -245,6 +261,57 @@ mod tests {
                     "step {t}, entry {k}: {found} {density}"
                 );
             }
+        }
+        // An update that changes nothing scores the actions alike.
+        let parameters =
+            UpdateParameters { learning_rate: 0.0, log_std, entropy_coefficient: 0.0 };
+        let losses = trainer.learner.update(&trainer.rollout, &parameters, Seed::new(3));
+        let losses = losses.expect("finite");
+        let divergence = losses.iter().find(|(name, _)| *name == "ppo/approx_kl").expect("it").1;
+        assert!(divergence.abs() < 1e-6, "{divergence}");
+    }
+
+    /// Where noise lasts (of the throttle, not of steering), agents observe their last mean action,
+    /// and otherwise their last action.
+    #[test]
+    fn agents_do_not_observe_noise_that_lasts() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
+        for correlation in [0.95, 0.0] {
+            let flags = [("scenario", scenario), ("algorithm", "mappo")];
+            let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+            let (mut config, scenario) =
+                Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
+            (config.train.envs, config.train.rollout_steps) = (2, 6);
+            config.learner.exploration.correlation = correlation;
+            let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
+            let spec = trainer.environment.spec();
+            let place = |name: &str| {
+                spec.observation.list.iter().position(|f| f.name == name).expect("a feature")
+            };
+            let features = [place("steering.last_steer"), place("ego.last_action")];
+            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
+            let mut differing = 0;
+            for t in 1..s.steps {
+                let input = Observation::at(rollout, t - 1, &Tensor::zeros([2, 5, 0], FLOAT));
+                let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
+                let means = Vec::<f32>::try_from(mean.reshape([-1])).expect("numbers");
+                let actions = &rollout.action[rollout.at(t - 1, 2)];
+                for agent in 0..s.envs * s.agents {
+                    let row = rollout.at(t, 1).start + agent;
+                    if rollout.active[row] == 0.0 || rollout.start[row] > 0.0 {
+                        continue;
+                    }
+                    for (d, feature) in features.into_iter().enumerate() {
+                        let seen = rollout.observation[row * s.observation + feature];
+                        let done = [&means[..], actions].map(|of| of[agent * 2 + d].clamp(-1.0, 1.0));
+                        let expected = if correlation > 0.0 && d == 1 { done[0] } else { done[1] };
+                        assert!((seen - expected).abs() < 1e-5, "{t} {agent} {d}: {seen} {done:?}");
+                        differing += usize::from((done[0] - done[1]).abs() > 0.1);
+                    }
+                }
+            }
+            assert!(differing > 20, "{differing}");
         }
     }
 

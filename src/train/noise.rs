@@ -10,39 +10,43 @@ use crate::rng::{self, Rng};
 /// Probabilities of actions are those of this distribution, so that the policy gradient is that of
 /// the policy that acts.
 pub(super) struct CorrelatedNoise {
-    /// Correlation with the step before, from 0 to below 1.
-    correlation: f32,
+    /// Correlation of each dimension with the step before, from 0 to below 1.
+    correlation: Vec<f32>,
     /// Noise of the last step.
     values: Vec<f32>,
     drawn: Vec<f32>,
     carried: Vec<f32>,
-    log_fresh: f32,
+    log_fresh: Vec<f32>,
     begun: bool,
 }
 
 impl CorrelatedNoise {
-    /// Creates the noise of `count` numbers; `correlation` is from 0 to below 1.
-    pub(super) fn new(count: usize, correlation: f32) -> Self {
-        let zeros = || vec![0.0; count];
+    /// Creates the noise of `agents` actions, whose dimensions have these correlations, each from 0
+    /// to below 1.
+    pub(super) fn new(agents: usize, correlation: Vec<f32>) -> Self {
+        let zeros = || vec![0.0; agents * correlation.len()];
         let (values, drawn, carried) = (zeros(), zeros(), zeros());
-        Self { correlation, values, drawn, carried, log_fresh: 0.0, begun: false }
+        let log_fresh = vec![0.0; correlation.len()];
+        Self { correlation, values, drawn, carried, log_fresh, begun: false }
     }
 
-    /// Returns whether the noise is correlated from step to step.
+    /// Returns whether the noise of any dimension is correlated from step to step.
     pub(super) fn is_correlated(&self) -> bool {
-        self.correlation > 0.0
+        self.correlation.iter().any(|&correlation| correlation > 0.0)
     }
 
     /// Draws the next step's noise. The result depends only on `rng` and on the earlier steps.
     pub(super) fn advance(&mut self, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.drawn);
         // The first step has no step before it, but its noise has the same variance.
-        let kept = if self.begun { self.correlation } else { 0.0 };
-        let fresh = (1.0 - kept * kept).sqrt();
-        self.log_fresh = fresh.ln();
-        for (i, drawn) in self.drawn.iter().enumerate() {
-            self.carried[i] = kept * self.values[i];
-            self.values[i] = self.carried[i] + fresh * drawn;
+        for (d, &correlation) in self.correlation.iter().enumerate() {
+            let kept = if self.begun { correlation } else { 0.0 };
+            let fresh = (1.0 - kept * kept).sqrt();
+            self.log_fresh[d] = fresh.ln();
+            for i in (d..self.drawn.len()).step_by(self.correlation.len()) {
+                self.carried[i] = kept * self.values[i];
+                self.values[i] = self.carried[i] + fresh * self.drawn[i];
+            }
         }
         self.begun = true;
     }
@@ -51,6 +55,11 @@ impl CorrelatedNoise {
     /// over a slot. Its strength remains the same.
     pub(super) fn renew(&mut self, entries: std::ops::Range<usize>, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.values[entries]);
+    }
+
+    /// Returns the current step's noise.
+    pub(super) fn values(&self) -> &[f32] {
+        &self.values
     }
 
     /// Returns the standard normal numbers that were drawn for the current step.
@@ -63,9 +72,9 @@ impl CorrelatedNoise {
         &self.carried
     }
 
-    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers.
-    pub(super) fn log_fresh(&self) -> f32 {
-        self.log_fresh
+    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers of each dimension.
+    pub(super) fn log_fresh(&self) -> &[f32] {
+        &self.log_fresh
     }
 }
 
@@ -85,9 +94,9 @@ mod tests {
         ) {
             const COUNT: usize = 20_000;
             let mut rng = Seed::new(seed).rng();
-            let mut noise = CorrelatedNoise::new(COUNT, correlation);
+            let mut noise = CorrelatedNoise::new(COUNT, vec![correlation]);
             let whole = |noise: &CorrelatedNoise| {
-                let fresh = noise.log_fresh().exp();
+                let fresh = noise.log_fresh()[0].exp();
                 let parts = noise.carried().iter().zip(noise.drawn());
                 parts.map(|(carried, drawn)| carried + fresh * drawn).collect::<Vec<_>>()
             };
@@ -112,7 +121,7 @@ mod tests {
     #[test]
     fn renewed_entries_do_not_depend_on_the_past() {
         let renewed = |past: u64| {
-            let mut noise = CorrelatedNoise::new(4, 0.9);
+            let mut noise = CorrelatedNoise::new(4, vec![0.9]);
             noise.advance(&mut Seed::new(past).rng());
             noise.renew(2..4, &mut Seed::new(7).rng());
             noise.advance(&mut Seed::new(8).rng());
@@ -125,15 +134,29 @@ mod tests {
 
     #[test]
     fn without_correlation_it_is_what_is_drawn() {
-        let mut drawn = vec![0.0; 7];
+        let mut drawn = vec![0.0; 14];
         let (mut rng, mut same) = (Seed::new(3).rng(), Seed::new(3).rng());
-        let mut noise = CorrelatedNoise::new(7, 0.0);
+        let mut noise = CorrelatedNoise::new(7, vec![0.0, 0.0]);
         assert!(!noise.is_correlated());
         for _ in 0..3 {
             rng::fill_normal(&mut same, &mut drawn);
             noise.advance(&mut rng);
             assert_eq!(noise.drawn(), drawn);
-            assert!(noise.carried().iter().all(|&x| x == 0.0) && noise.log_fresh() == 0.0);
+            assert!(noise.carried().iter().all(|&x| x == 0.0) && noise.log_fresh() == [0.0, 0.0]);
+        }
+    }
+
+    #[test]
+    fn each_dimension_has_its_own_correlation() {
+        let mut noise = CorrelatedNoise::new(5, vec![0.0, 0.9]);
+        assert!(noise.is_correlated());
+        for t in 0..3 {
+            noise.advance(&mut Seed::new(t).rng());
+        }
+        let fresh = [0.0, 0.5 * (1.0_f32 - 0.81).ln()];
+        assert!(noise.log_fresh().iter().zip(fresh).all(|(x, y)| (x - y).abs() < 1e-5));
+        for pair in noise.carried().chunks(2) {
+            assert!(pair[0] == 0.0 && pair[1] != 0.0, "{pair:?}");
         }
     }
 }

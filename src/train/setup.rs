@@ -6,6 +6,7 @@ use tch::Tensor;
 
 use super::ahead::Ahead;
 use super::collect::Collector;
+use super::last_action::LastAction;
 use super::{Error, RunDir, Timers, Trainer, schedule};
 use crate::algo::{self, Settings};
 use crate::checkpoint::{Checkpoint, Progress};
@@ -92,6 +93,8 @@ impl Trainer {
                 (environment.restore(&stream, &stored.worlds)?, stored.memory.clone(), progress)
             }
         };
+        let last_action = LastAction::new(environment.spec());
+        let noise_lasts = environment.spec().actions.noise_lasts();
         let mut rollout = Rollout::new(sizes);
         rollout.cooperation = environment.cooperation();
         rollout.bootstrap_horizon = config.train.bootstrap_horizon;
@@ -101,6 +104,8 @@ impl Trainer {
             collector: Collector {
                 worlds,
                 memory: Tensor::from_slice(&memory).view(shape),
+                noise_lasts,
+                last_action,
                 finished: Vec::new(),
                 timers: Timers::default(),
             },

@@ -246,6 +246,10 @@ impl Algorithm for Maddpg {
         0
     }
 
+    fn deviations(&self) -> Vec<f32> {
+        self.networks.actor.head().deviations()
+    }
+
     fn act(&self, input: &Observation, mode: &ActMode) -> Decision {
         act_on(self.device, input, mode, |input, mode| {
             let (f, memory) = encode_locally(self.networks.actor.encoder(), input);

@@ -8,7 +8,7 @@ use super::layout::Layout;
 use super::map::Map;
 use super::{observation, state};
 use crate::env::error::Error;
-use crate::env::spec::{ActionDimension, EnvSpec};
+use crate::env::spec::{ActionDimension, EnvSpec, Features};
 use crate::scenario::{
     Control, Demand, Finish, LaneChange, PlannedDeparture, PlannedSource, Scenario, Source,
     Spacing, SpawnPlace, Start, Vehicle, VehicleKind, VehicleVariant,
@@ -128,7 +128,7 @@ impl Task {
             dropped: Arc::default(),
             spec: EnvSpec {
                 agents: agents as usize,
-                actions: actions(&scenario.control).into(),
+                actions: actions(&scenario.control, &observed).into(),
                 observation: observed,
                 state: known,
                 most_heard: (nearest > 0 && nearest + 1 < agents as usize).then_some(nearest),
@@ -473,10 +473,17 @@ const LANE_NOISE: f32 = 0.25;
 ///
 /// Untrained policies accelerate on average: brakes are stronger than engines, so that a vehicle
 /// with a mean throttle of 0 hardly moves under noise.
-fn actions(control: &Control) -> Vec<ActionDimension> {
-    let steer = ActionDimension::named("steer");
+fn actions(control: &Control, observed: &Features) -> Vec<ActionDimension> {
+    let feature = |name: &str| observed.list.iter().position(|feature| feature.name == name);
+    let steer = ActionDimension {
+        // docs/lab/decision-process.md#noise-that-lasts-in-the-throttle-alone
+        noise_lasts: false,
+        feature: feature("steering.last_steer"),
+        ..ActionDimension::named("steer")
+    };
     let throttle = ActionDimension {
         initial_mean: control.initial_throttle as f32,
+        feature: feature("ego.last_action"),
         ..ActionDimension::named("throttle")
     };
     let lane = ActionDimension { noise_scale: LANE_NOISE, ..ActionDimension::named("lane") };

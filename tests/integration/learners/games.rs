@@ -117,7 +117,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
-            let (action, carried, graph, log_fresh) = (shaped(&eps, 1), nothing(), graph, 0.0);
+            let (action, carried, log_fresh) = (shaped(&eps, 1), nothing(), Vec::new());
             let decision =
                 learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
             let numbers =

@@ -104,7 +104,7 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
         (Kind::Float, Device::Cpu),
     );
     let input = observation(learner, x.copy(), comm.copy());
-    let (action, graph, carried, log_fresh) = (zero, open, nothing(), 0.0);
+    let (action, graph, carried, log_fresh) = (zero, open, nothing(), Vec::new());
     let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }

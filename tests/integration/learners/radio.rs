@@ -62,7 +62,7 @@ fn training_hears_what_an_evaluation_hears() {
                 };
                 let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
                 let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
-                let mode = ActMode::Sample { action, carried, graph, log_fresh: 0.0 };
+                let mode = ActMode::Sample { action, carried, graph, log_fresh: Vec::new() };
                 let trained = learner.act(&input(&memory), &mode);
                 let noise = ChannelNoise {
                     lost: zeros(&[2, AGENTS, AGENTS]),

@@ -212,7 +212,7 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         let eps = noise(50 + t as u64, &[e, n, 1]);
         let correlated = !rollout.carried.is_empty();
         let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
-        let fresh = rollout.log_fresh.get(t).map_or(0.0, |fresh| f64::from(*fresh));
+        let fresh = rollout.log_fresh.get(t).map_or_else(Vec::new, |fresh| vec![*fresh]);
         let (action, graph, carried, log_fresh) = (eps, graph, carried, fresh);
         let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
