@@ -94,8 +94,7 @@ impl Collector {
                         .copy_from_slice(noise.log_fresh());
                     carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                 }
-                let log_fresh =
-                    if correlated { noise.log_fresh().to_vec() } else { Vec::new() };
+                let log_fresh = if correlated { noise.log_fresh().to_vec() } else { Vec::new() };
                 let graph = if s.graph_noise > 0 {
                     if policy.graph_lasts() {
                         rng = seed.child("graph").rng();
@@ -263,8 +262,7 @@ mod tests {
             }
         }
         // An update that changes nothing scores the actions alike.
-        let parameters =
-            UpdateParameters { learning_rate: 0.0, log_std, entropy_coefficient: 0.0 };
+        let parameters = UpdateParameters { learning_rate: 0.0, log_std, entropy_coefficient: 0.0 };
         let losses = trainer.learner.update(&trainer.rollout, &parameters, Seed::new(3));
         let losses = losses.expect("finite");
         let divergence = losses.iter().find(|(name, _)| *name == "ppo/approx_kl").expect("it").1;
@@ -304,7 +302,8 @@ mod tests {
                     }
                     for (d, feature) in features.into_iter().enumerate() {
                         let seen = rollout.observation[row * s.observation + feature];
-                        let done = [&means[..], actions].map(|of| of[agent * 2 + d].clamp(-1.0, 1.0));
+                        let done =
+                            [&means[..], actions].map(|of| of[agent * 2 + d].clamp(-1.0, 1.0));
                         let expected = if correlation > 0.0 && d == 1 { done[0] } else { done[1] };
                         assert!((seen - expected).abs() < 1e-5, "{t} {agent} {d}: {seen} {done:?}");
                         differing += usize::from((done[0] - done[1]).abs() > 0.1);
