@@ -265,7 +265,8 @@ mod tests {
         let parameters = UpdateParameters { learning_rate: 0.0, log_std, entropy_coefficient: 0.0 };
         let losses = trainer.learner.update(&trainer.rollout, &parameters, Seed::new(3));
         let losses = losses.expect("finite");
-        let divergence = losses.iter().find(|(name, _)| *name == "ppo/approx_kl").expect("it").1;
+        let divergence =
+            losses.iter().find(|(name, _)| *name == "ppo/approx_kl").expect("reported").1;
         assert!(divergence.abs() < 1e-6, "{divergence}");
     }
 
