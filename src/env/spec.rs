@@ -164,7 +164,7 @@ pub struct ActionDimension {
     /// independent from step to step.
     pub noise_lasts: bool,
     /// Index of the observation feature that repeats this number of the agent's last action, clipped
-    /// to -1..=1; `None` if agents do not observe it.
+    /// to -1..=1; `None` if agents do not observe it. A training panics if there is no such feature.
     pub feature: Option<usize>,
 }
 

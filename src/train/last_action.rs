@@ -19,6 +19,8 @@ pub(super) struct LastAction {
 }
 
 impl LastAction {
+    /// # Panics
+    /// If an environment names a feature that its observation does not have.
     pub(super) fn new(spec: &EnvSpec) -> Self {
         let seen = match &spec.actions {
             ActionSpace::Continuous(dimensions) => {
@@ -27,6 +29,9 @@ impl LastAction {
             }
             ActionSpace::Discrete(_) => Vec::new(),
         };
+        let width = spec.observation.len();
+        let known = seen.iter().all(|&(_, feature): &(usize, usize)| feature < width);
+        assert!(known, "a dimension's `feature` is not among the {width} of the observation");
         Self { seen, means: Vec::new() }
     }
 
