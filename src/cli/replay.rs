@@ -18,7 +18,7 @@ pub(super) struct Args {
     /// HTML file to write.
     #[arg(long, short, value_name = "FILE", required_unless_present = "svg")]
     out: Option<PathBuf>,
-    /// SVG picture of one step to write.
+    /// SVG picture to write: one step, and where the agents have driven until then.
     #[arg(long, value_name = "FILE")]
     svg: Option<PathBuf>,
     /// Step that the picture shows [default: the middle of the episode].

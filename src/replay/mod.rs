@@ -34,6 +34,8 @@ const HOLE: &str = "__RECORDING__";
 const FORMAT: u32 = 1;
 /// Integer that marks a missing number.
 const NOTHING: i16 = i16::MIN;
+/// Speed above which two positions are those of different vehicles \[m/s\].
+const FASTEST: f64 = 60.0;
 
 /// A recorded episode, step by step.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -230,6 +232,36 @@ impl Recording {
         (0..self.agents).map(vehicle).collect()
     }
 
+    /// Returns where the agents have been until a step: for each vehicle, its consecutive positions.
+    /// A vehicle that takes over the slot of another has a list of its own.
+    fn tracks(&self, step: usize) -> Vec<Vec<[f64; 2]>> {
+        let status = STANDARD.decode(&self.status).unwrap_or_default();
+        let column = |key: &str| self.columns.get(key).and_then(Column::values).unwrap_or_default();
+        let (x, y) = (column("x"), column("y"));
+        let mut tracks = Vec::new();
+        for agent in 0..self.agents {
+            let places = (0..=step).map(|t| t * self.agents + agent).map(|i| {
+                let there = Status::from(status[i]) != Status::Gone;
+                there.then_some([x[i], y[i]])
+            });
+            let mut track: Vec<[f64; 2]> = Vec::new();
+            for place in places.chain([None]) {
+                let follows = match (place, track.last()) {
+                    (Some([x, y]), Some([u, v])) => {
+                        (x - u).hypot(y - v) < FASTEST * self.step_length
+                    }
+                    (place, last) => place.is_none() == last.is_none(),
+                };
+                if !follows {
+                    tracks.push(std::mem::take(&mut track));
+                }
+                track.extend(place);
+            }
+        }
+        tracks.retain(|track| track.len() > 1);
+        tracks
+    }
+
     /// Returns the communication links at a step, as pairs of receiver and sender.
     fn links(&self, step: usize) -> Vec<(usize, usize)> {
         let bytes =
@@ -341,6 +373,9 @@ mod tests {
         assert_eq!(loaded.links(0), [(0, 1)]);
         assert_eq!(loaded.links(1), [(1, 0)]);
         assert_eq!(loaded.vehicles(1)[0].0, Status::Crashed);
+        assert!(loaded.tracks(0).is_empty(), "one position is no way");
+        let tracks = loaded.tracks(1);
+        assert_eq!((tracks.len(), tracks[0].len()), (1, 2), "{tracks:?}: the other one has left");
         let text = std::fs::read_to_string(&path).unwrap();
         for (from, to) in [
             ("\"format\":1", "\"format\":7"),

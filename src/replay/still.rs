@@ -29,7 +29,7 @@ const PERSON: f64 = 0.6;
 
 impl Recording {
     /// Draws the net, the vehicles and the communication links at `step` (the last step if there
-    /// are fewer). One metre is one SVG unit.
+    /// are fewer), and where the agents have been until then. One metre is one SVG unit.
     pub fn still(&self, step: usize) -> String {
         let step = step.min(self.steps - 1);
         let unit = (self.vehicle.length / CAR).min(1.0);
@@ -98,6 +98,14 @@ impl Recording {
                 svg,
                 "<path d=\"{}\" stroke=\"{color}\" stroke-linecap=\"butt\" stroke-width=\".8\"/>",
                 path(&signal.line)
+            );
+        }
+        for track in self.tracks(step) {
+            let _ = writeln!(
+                svg,
+                "<path d=\"{}\" stroke=\"{DRIVING}\" stroke-opacity=\".3\" stroke-width=\"{:.3}\"/>",
+                path(&track),
+                0.3 * unit
             );
         }
         let vehicles = self.vehicles(step);
@@ -212,6 +220,7 @@ mod tests {
         assert!(svg.contains("#e0a800") && recording().still(0).contains("#cc2b2b"), "signals");
         assert_eq!(svg.matches("Z\" fill=\"#b9a78f\"").count(), 1, "a wall");
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
+        assert_eq!(svg.matches("stroke-opacity=\".3\"").count(), 1, "where the first agent was");
         roxmltree::Document::parse(&svg).expect("well-formed");
     }
 }

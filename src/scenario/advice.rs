@@ -394,6 +394,7 @@ impl Adviser<'_, '_, '_> {
         let rules = [
             ("communication", "nearest", all, "there are never more other agents"),
             ("route", "offLane", follows, "vehicles do not steer"),
+            ("reward", "laneKeeping", follows, "vehicles do not steer"),
             ("termination", "border", follows, "vehicles do not steer"),
             ("termination", "brokenLines", follows, "vehicles do not steer"),
             ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),

@@ -341,6 +341,41 @@ impl Cell {
     }
 }
 
+/// Checks cells that start with the policy of another cell: the other cell must exist and have the
+/// same networks, and the order of training must contain no cycle.
+pub(super) fn check_order(cells: &[Cell]) -> Result<(), String> {
+    for cell in cells {
+        let begins_with =
+            |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
+        if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
+            return Err(format!(
+                "cell {}: init_from: a [[skip]] removes the cell {after}",
+                cell.id
+            ));
+        }
+        if let Some(first) = begins_with(&cell) {
+            let (of, trained) = (&first.config.algorithm, &cell.config.algorithm);
+            if of != trained {
+                return Err(format!(
+                    "cell {}: init_from: {} trains {of}, which has other networks",
+                    cell.id, first.id
+                ));
+            }
+            if let Some(why) = first.config.cannot_serve(&cell.config) {
+                return Err(format!("cell {}: init_from: {why}", cell.id));
+            }
+        }
+        // If so many predecessors exist as there are cells, one of them occurs twice.
+        if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
+            return Err(format!(
+                "cell {}: init_from forms a cycle: no cell of the cycle can be trained first",
+                last.id
+            ));
+        }
+    }
+    Ok(())
+}
+
 /// Returns the last whole line of a file of JSON lines; reads only the end of the file.
 fn last_line(path: &Path) -> Option<serde_json::Value> {
     let mut file = std::fs::File::open(path).ok()?;

@@ -3,7 +3,8 @@
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{Cell, Evaluate, holds};
+use super::conditions::{holds, listed};
+use super::{Cell, Evaluate};
 use crate::metrics::{self, Metric, Shown};
 
 /// A comparison of trained runs: how much better those of `plus` are than those of `minus`. With
@@ -125,7 +126,7 @@ impl Contrast {
                 let title = &self.title;
                 return Err(format!(
                     "[[contrast]] `{title}`: no cell that is evaluated has {}",
-                    super::file::listed(when)
+                    listed(when)
                 ));
             };
             let rest = |cell: &Cell| {
@@ -137,7 +138,7 @@ impl Contrast {
                     self.title,
                     first.id,
                     other.id,
-                    super::file::listed(when)
+                    listed(when)
                 ));
             }
         }

@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 use toml::{Table, Value};
 
-use super::{
-    Cell, Contrast, Error, Evaluate, Reference, base, combinations, holds, label, value_of,
-};
+use super::cell::check_order;
+use super::conditions::{self, holds, listed};
+use super::{Cell, Contrast, Error, Evaluate, Reference, base, combinations, label, value_of};
 use crate::config::{
     Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation, plain,
 };
@@ -19,8 +19,11 @@ use crate::metrics::{self, Shown};
 #[serde(deny_unknown_fields)]
 pub(super) struct File {
     /// The sweep file that this file is based on.
-    #[serde(default, rename = "base")]
-    _base: Option<String>,
+    #[serde(default)]
+    base: Option<String>,
+    /// Whether the file has a base, which `base` no longer says once both are merged.
+    #[serde(skip)]
+    has_base: bool,
     #[serde(default)]
     pub(super) title: String,
     #[serde(default)]
@@ -59,6 +62,7 @@ impl File {
     /// cells.
     pub(super) fn read(text: &str, file: &str) -> Result<Self, Error> {
         let mut parsed: Self = base::resolve(text, Path::new(file))?;
+        parsed.has_base = toml::from_str::<Self>(text).is_ok_and(|own| own.base.is_some());
         if parsed.evaluate.is_empty() {
             parsed.evaluate.push(toml::from_str("").expect("everything has a default"));
         }
@@ -140,6 +144,37 @@ impl File {
         Ok(())
     }
 
+    /// Checks that conditions name values of the grid, and that no rule sets a key of the grid. A
+    /// file with a base may narrow the grid to which the conditions of its base refer.
+    fn check_conditions(&self) -> Result<(), String> {
+        if self.has_base {
+            return Ok(());
+        }
+        let of = |what: String, when: &Table| {
+            conditions::check_values(when, &self.grid).map_err(|why| format!("{what}: {why}"))
+        };
+        for (i, rule) in self.rule.iter().enumerate() {
+            let name = format!("[[rule]] number {}", i + 1);
+            let twice = flatten(&rule.set).into_keys().find(|key| self.varies(key));
+            if let Some(key) = twice {
+                return Err(format!(
+                    "{name} sets {key}, which has no effect, because each cell has the value of the grid; remove {key} from `set` or from [grid]"
+                ));
+            }
+            of(name, &rule.when)?;
+        }
+        for (i, skip) in self.skip.iter().enumerate() {
+            of(format!("[[skip]] number {}", i + 1), &skip.when)?;
+        }
+        let mut all = self.evaluate.iter();
+        all.try_for_each(|evaluate| of(format!("[[evaluate]] `{}`", evaluate.name), &evaluate.when))
+    }
+
+    /// Whether the grid has a list of values for the setting `key`.
+    fn varies(&self, key: &str) -> bool {
+        self.grid.keys().any(|own| full_name(own) == full_name(key))
+    }
+
     fn check_references(&self) -> Result<(), String> {
         for Reference { label, metric, x, y, evaluate, .. } in &self.reference {
             let named = |name: &String| self.evaluate.iter().find(|e| e.name == *name);
@@ -201,7 +236,8 @@ impl File {
             let settings = settings_of(&self.settings, &self.rule, &values, &mut matched);
             cells.push(self.cell(values, settings, file, folder, &mut fingerprints)?);
         }
-        self.check_used(&cells, &matched)
+        self.check_conditions()
+            .and_then(|()| self.check_used(&cells, &matched))
             .and_then(|()| check_order(&cells))
             .and_then(|()| {
                 let mut all = self.contrast.iter();
@@ -306,41 +342,6 @@ impl File {
     }
 }
 
-/// Checks cells that start with the policy of another cell: the other cell must exist and have the
-/// same networks, and the order of training must contain no cycle.
-fn check_order(cells: &[Cell]) -> Result<(), String> {
-    for cell in cells {
-        let begins_with =
-            |cell: &&Cell| cells.iter().find(|other| cell.after.as_ref() == Some(&other.id));
-        if let Some(after) = cell.after.as_ref().filter(|_| begins_with(&cell).is_none()) {
-            return Err(format!(
-                "cell {}: init_from: a [[skip]] removes the cell {after}",
-                cell.id
-            ));
-        }
-        if let Some(first) = begins_with(&cell) {
-            let (of, trained) = (&first.config.algorithm, &cell.config.algorithm);
-            if of != trained {
-                return Err(format!(
-                    "cell {}: init_from: {} trains {of}, which has other networks",
-                    cell.id, first.id
-                ));
-            }
-            if let Some(why) = first.config.cannot_serve(&cell.config) {
-                return Err(format!("cell {}: init_from: {why}", cell.id));
-            }
-        }
-        // If so many predecessors exist as there are cells, one of them occurs twice.
-        if let Some(last) = std::iter::successors(Some(cell), begins_with).nth(cells.len()) {
-            return Err(format!(
-                "cell {}: init_from forms a cycle: no cell of the cycle can be trained first",
-                last.id
-            ));
-        }
-    }
-    Ok(())
-}
-
 /// Returns whether two values are the same, numbers by their size.
 fn same(a: &Value, b: &Value) -> bool {
     let number = |value: &Value| value.as_float().or_else(|| Some(value.as_integer()? as f64));
@@ -349,11 +350,6 @@ fn same(a: &Value, b: &Value) -> bool {
 
 fn wrong(file: &str, message: String) -> Error {
     Error::Content { file: file.to_owned(), message }
-}
-
-/// Formats a condition for a message.
-pub(super) fn listed(when: &Table) -> String {
-    toml::to_string(when).unwrap_or_default().trim().replace('\n', " and ")
 }
 
 /// Returns the id of the cell whose policy another cell starts with: the cell that differs in the

@@ -34,6 +34,7 @@
 
 mod base;
 mod cell;
+mod conditions;
 mod contrast;
 mod error;
 mod file;
@@ -47,6 +48,7 @@ pub use cell::{Cell, Job, State};
 pub use contrast::{Compared, Contrast};
 pub use error::Error;
 
+use conditions::holds;
 use file::File;
 
 pub use crate::config::plain;
@@ -218,14 +220,6 @@ impl Sweep {
         let first = self.cells.iter().find(|other| cell.after.as_ref() == Some(&other.id))?;
         (cell.trained().is_none() && first.trained().is_none()).then_some(first)
     }
-}
-
-/// Returns whether every key has the wanted value, or one of a list of wanted values.
-fn holds<'a>(when: &Table, value: impl Fn(&str) -> Option<&'a Value>) -> bool {
-    when.iter().all(|(key, wanted)| {
-        value(key)
-            .is_some_and(|own| wanted.as_array().map_or(own == wanted, |any| any.contains(own)))
-    })
 }
 
 fn value_of<'a>(values: &'a [(String, Value)], key: &str) -> Option<&'a Value> {

@@ -13,8 +13,8 @@ const FILE: &str = r#"
     agents = [4, 8]
     seed = [0, 1]
     [[rule]]
-    when = { agents = [8, 16], algorithm = "mappo" }
-    set = { "train.envs" = 2, ppo = { gamma = 0.9 }, agents = 48 }
+    when = { agents = [8], algorithm = "mappo" }
+    set = { "train.envs" = 2, ppo = { gamma = 0.9 }, steps = 9 }
     [[evaluate]]
     name = "range"
     grid = { "scenario.communication.range" = [100.0, 10.0] }
@@ -95,7 +95,7 @@ fn the_scenario_can_be_changed_beside_its_short_form() {
 #[test]
 fn a_cell_may_begin_with_the_policy_of_another() {
     let with =
-        |change: &str| FILE.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}"));
+        |change: &str| FILE.replace("steps = 9 }", &format!("init_from = {{ {change} }} }}"));
     let sweep = parse(&with("agents = 4")).unwrap();
     let after: Vec<_> = sweep
         .cells
@@ -122,7 +122,7 @@ fn a_cell_may_begin_with_the_policy_of_another() {
     assert!(refused("steps = 1").contains("the grid has no such cell"));
     assert!(refused("agents = 8").contains("names the cell itself"));
     let grid = FILE.replace("agents = [4, 8]", "agents = [8]\n\"ppo.gamma\" = [0.9, 0.99]");
-    let grid = grid.replace("ppo = { gamma = 0.9 }, agents = 48", "steps = 8");
+    let grid = grid.replace("ppo = { gamma = 0.9 }, steps = 9", "steps = 8");
     let rule =
         "[[rule]]\nwhen = { \"ppo.gamma\" = 0.99 }\nset = { init_from = { \"ppo.gamma\" = 0.9 } }";
     let sweep = parse(&format!("{grid}\n{rule}")).unwrap();
@@ -140,20 +140,25 @@ fn a_cell_may_begin_with_the_policy_of_another() {
 fn cells_may_be_left_out_and_evaluated_by_choice() {
     let with = |lines: &str| parse(&FILE.replace("name = \"range\"", lines));
     let sweep =
-        with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4, 5] }").unwrap();
+        with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4] }").unwrap();
     let applies: Vec<&str> = (sweep.cells.iter())
         .filter(|cell| sweep.evaluations[0].applies(cell))
         .map(|cell| cell.id.as_str())
         .collect();
     assert_eq!(applies, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
     let message = with("when = { agents = 5 }").expect_err("must be refused").to_string();
-    assert!(message.contains("[[evaluate]] `evaluation`: no cell has agents = 5"), "{message}");
+    assert!(
+        message.contains("[[evaluate]] `evaluation`: `when` names agents = 5"),
+        "{message}"
+    );
+    let message = with("when = { steps = 5 }").expect_err("must be refused").to_string();
+    assert!(message.contains("[[evaluate]] `evaluation`: no cell has steps = 5"), "{message}");
 
     let skip = |when: &str| {
         parse(&FILE.replace("[[rule]]", &format!("[[skip]]\nwhen = {{ {when} }}\n[[rule]]")))
     };
     let ids: Vec<String> =
-        skip("agents = 8, seed = [1, 2]").unwrap().cells.into_iter().map(|cell| cell.id).collect();
+        skip("agents = 8, seed = [1]").unwrap().cells.into_iter().map(|cell| cell.id).collect();
     assert_eq!(ids.len(), 6);
     assert!(
         !ids.contains(&"mappo_agents=8/seed_1".to_owned())
@@ -161,7 +166,7 @@ fn cells_may_be_left_out_and_evaluated_by_choice() {
     );
     let message = skip("agents = 5").expect_err("must be refused").to_string();
     assert!(message.contains("[[skip]]: no combination has agents = 5"), "{message}");
-    let chain = FILE.replace("agents = 48 }", "init_from = { agents = 4 } }");
+    let chain = FILE.replace("steps = 9 }", "init_from = { agents = 4 } }");
     let broken = chain.replace("[[rule]]", "[[skip]]\nwhen = { agents = 4, seed = 1 }\n[[rule]]");
     let message = parse(&broken).expect_err("must be refused").to_string();
     assert!(message.contains("a [[skip]] removes the cell mappo_agents=4/seed_1"), "{message}");
@@ -250,7 +255,7 @@ fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
     let with = |algorithms: &str, grid: &str| {
         let file = FILE
             .replace("[\"im-iwol\", \"mappo\"]", algorithms)
-            .replace("agents = 48", "steps = 8");
+            .replace("steps = 9", "steps = 8");
         parse(&file.replace("\"scenario.communication.range\" = [100.0, 10.0]", grid))
             .map_err(|error| error.to_string())
     };
@@ -281,7 +286,7 @@ fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
     );
     let rule = |algorithms: &str, change: &str| {
         let file = FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms);
-        parse(&file.replace("agents = 48 }", &format!("init_from = {{ {change} }} }}")))
+        parse(&file.replace("steps = 9 }", &format!("init_from = {{ {change} }} }}")))
             .map_err(|e| e.to_string())
     };
     let other =
@@ -292,7 +297,7 @@ fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
     );
     let file = FILE
         .replace("\"mappo\"", "\"commformer\"")
-        .replace("agents = 48 }", "init_from = { agents = 4 } }");
+        .replace("steps = 9 }", "init_from = { agents = 4 } }");
     let fixed = parse(&file).expect_err("must be refused").to_string();
     assert!(fixed.contains("each of 4 agents and cannot be used with 8"), "{fixed}");
     let disturbed =
@@ -329,8 +334,21 @@ fn mistakes_are_named() {
     assert!(message(("name = \"range\"", "episodes = 0")).contains("1 or more episodes"));
     assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
     assert!(
-        message(("agents = [8, 16]", "agents = [16]"))
-            .contains("[[rule]] number 1: no cell has agents = [16]")
+        message(("agents = [8]", "agents = [8, 16]")).contains(
+            "[[rule]] number 1: `when` names agents = 16, and [grid] agents has only 4, 8"
+        )
+    );
+    assert!(
+        message(("agents = [8]", "agents = [8], seed = 1, \"train.envs\" = 3"))
+            .contains("[[rule]] number 1: no cell has")
+    );
+    assert!(
+        message(("steps = 9", "agents = 48"))
+            .contains("[[rule]] number 1 sets agents, which has no effect")
+    );
+    assert!(
+        message(("[[rule]]", "[[skip]]\nwhen = { seed = [1, 2] }\n[[rule]]"))
+            .contains("[[skip]] number 1: `when` names seed = 2, and [grid] seed has only 0, 1")
     );
     assert!(
         message(("scenario.communication.range", "scenario.comunication.range"))

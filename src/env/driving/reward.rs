@@ -100,6 +100,16 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
     Outcome { arrived, crashed, out_of_road }
 }
 
+/// Returns the share of the reward for `distance` metres of progress that an agent gets whose
+/// vehicle is `lateral` metres beside the centre line of a lane that is `width` metres wide.
+/// `weight` is [`Reward::lane_keeping`]. Driving backwards costs the full progress, so that driving
+/// to and fro gains nothing.
+///
+/// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`use_lateral_reward`).
+fn kept(weight: f64, distance: f64, lateral: f64, width: f64) -> f64 {
+    if distance > 0.0 { 1.0 - weight * (2.0 * lateral.abs() / width).min(1.0) } else { 1.0 }
+}
+
 /// Returns an agent's reward for a step in which it drove `distance` metres of its route. The first
 /// case of its outcome that applies replaces the reward for driving.
 fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
@@ -113,12 +123,39 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
     } else {
         // The magnitude counts: a vehicle that steers may slide or drive backwards.
         let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
-        let reward = rewards.progress * distance + rewards.speed * speed / Reward::SPEED_UNIT;
         let lane = task.map.routes[slot.route].path.widths[slot.segment];
+        let kept = if steers { kept(rewards.lane_keeping, distance, slot.lateral, lane) } else { 1.0 };
+        let progress = kept * rewards.progress * distance;
+        let reward = progress + rewards.speed * speed / Reward::SPEED_UNIT;
         let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
         match task.scenario.routes.get(slot.route) {
             Some(route) if off => route.off_lane * reward,
             _ => reward,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::kept;
+
+    proptest! {
+        /// Who drives to and fro, and ends where they began, gains nothing, wherever on the road
+        /// they drive.
+        #[test]
+        fn nobody_gains_by_driving_to_and_fro(
+            weight in 0.0..=1.0f64,
+            steps in proptest::collection::vec((-2.0..2.0f64, -4.0..4.0f64), 1..20),
+        ) {
+            let back: f64 = steps.iter().map(|(distance, _)| distance).sum();
+            let total: f64 = steps
+                .iter()
+                .chain(&[(-back, 0.0)])
+                .map(|&(distance, lateral)| distance * kept(weight, distance, lateral, 3.5))
+                .sum();
+            prop_assert!(total < 1e-9, "{total}");
         }
     }
 }
