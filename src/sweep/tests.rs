@@ -139,18 +139,14 @@ fn a_cell_may_begin_with_the_policy_of_another() {
 #[test]
 fn cells_may_be_left_out_and_evaluated_by_choice() {
     let with = |lines: &str| parse(&FILE.replace("name = \"range\"", lines));
-    let sweep =
-        with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4] }").unwrap();
+    let sweep = with("name = \"range\"\nwhen = { algorithm = \"mappo\", agents = [4] }").unwrap();
     let applies: Vec<&str> = (sweep.cells.iter())
         .filter(|cell| sweep.evaluations[0].applies(cell))
         .map(|cell| cell.id.as_str())
         .collect();
     assert_eq!(applies, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
     let message = with("when = { agents = 5 }").expect_err("must be refused").to_string();
-    assert!(
-        message.contains("[[evaluate]] `evaluation`: `when` names agents = 5"),
-        "{message}"
-    );
+    assert!(message.contains("[[evaluate]] `evaluation`: `when` names agents = 5"), "{message}");
     let message = with("when = { steps = 5 }").expect_err("must be refused").to_string();
     assert!(message.contains("[[evaluate]] `evaluation`: no cell has steps = 5"), "{message}");
 
@@ -253,9 +249,8 @@ fn what_is_kept_replaces_no_run() {
 #[test]
 fn what_cannot_be_done_with_a_policy_is_refused_before_it_is_trained() {
     let with = |algorithms: &str, grid: &str| {
-        let file = FILE
-            .replace("[\"im-iwol\", \"mappo\"]", algorithms)
-            .replace("steps = 9", "steps = 8");
+        let file =
+            FILE.replace("[\"im-iwol\", \"mappo\"]", algorithms).replace("steps = 9", "steps = 8");
         parse(&file.replace("\"scenario.communication.range\" = [100.0, 10.0]", grid))
             .map_err(|error| error.to_string())
     };

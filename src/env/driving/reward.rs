@@ -124,7 +124,8 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
         // The magnitude counts: a vehicle that steers may slide or drive backwards.
         let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
         let lane = task.map.routes[slot.route].path.widths[slot.segment];
-        let kept = if steers { kept(rewards.lane_keeping, distance, slot.lateral, lane) } else { 1.0 };
+        let kept =
+            if steers { kept(rewards.lane_keeping, distance, slot.lateral, lane) } else { 1.0 };
         let progress = kept * rewards.progress * distance;
         let reward = progress + rewards.speed * speed / Reward::SPEED_UNIT;
         let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
