@@ -237,10 +237,8 @@ fn left_hand_traffic_is_the_mirror_image() {
             "<jitter longitudinal=\"1\" lateral=\"0.25\"",
             "<jitter longitudinal=\"0\" lateral=\"0\"",
         );
-        let text = text.replace(
-            "<observation ",
-            "<observation lidarBeams=\"12\" lidarRange=\"20\" borders=\"5\" ",
-        );
+        let text =
+            text.replace("<observation ", "<observation lidarBeams=\"12\" lidarRange=\"20\" ");
         fs::write(&imported.scenario, text).unwrap();
         let scenario = Scenario::load(&imported.scenario).unwrap();
         let trial = trial(&scenario, 1);

@@ -321,7 +321,10 @@ fn a_sweep_goes_on_where_its_program_is_replaced() {
     let short = FILE.replace("steps = 4096", "steps = 256").replace("seed = [0, 1]", "seed = [0]");
     let file = sweep_file(folder.path(), &short);
     let program = folder.path().join("iwol");
-    std::fs::copy(env!("CARGO_BIN_EXE_iwol"), &program).expect("copied");
+    // Another process copies it: processes that other tests start meanwhile would inherit this
+    // one's open file, and a program that is open for writing cannot be started.
+    let mut copy = Command::new("cp");
+    assert!(copy.arg(env!("CARGO_BIN_EXE_iwol")).arg(&program).status().expect("cp").success());
     let mut command = Command::new(&program);
     command.current_dir(root()).arg("sweep").arg(file).arg("--out").arg(&out);
     command.stdout(Stdio::null()).stderr(Stdio::null());
