@@ -100,14 +100,18 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
     Outcome { arrived, crashed, out_of_road }
 }
 
-/// Returns the share of the reward for `distance` metres of progress that an agent gets whose
-/// vehicle is `lateral` metres beside the centre line of a lane that is `width` metres wide.
-/// `weight` is [`Reward::lane_keeping`]. Driving backwards costs the full progress, so that driving
-/// to and fro gains nothing.
+/// Returns what is left of a reward for progress where the vehicle is `lateral` metres beside the
+/// centre line of a lane that is `width` metres wide. `weight` is [`Reward::lane_keeping`]. Negative
+/// rewards stay whole, so that no step earns more than without lane keeping.
 ///
-/// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`use_lateral_reward`).
-fn kept(weight: f64, distance: f64, lateral: f64, width: f64) -> f64 {
-    if distance > 0.0 { 1.0 - weight * (2.0 * lateral.abs() / width).min(1.0) } else { 1.0 }
+/// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`use_lateral_reward`), which reduces
+/// negative rewards as well.
+fn kept_progress(weight: f64, progress: f64, lateral: f64, width: f64) -> f64 {
+    if progress > 0.0 {
+        progress * (1.0 - weight * (2.0 * lateral.abs() / width).min(1.0))
+    } else {
+        progress
+    }
 }
 
 /// Returns an agent's reward for a step in which it drove `distance` metres of its route. The first
@@ -123,16 +127,17 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
     } else {
         // The magnitude counts: a vehicle that steers may slide or drive backwards.
         let speed = if steers { slot.motion.velocity.norm() } else { slot.speed };
-        let lane = task.map.routes[slot.route].path.widths[slot.segment];
-        let kept =
-            if steers { kept(rewards.lane_keeping, distance, slot.lateral, lane) } else { 1.0 };
-        let progress = kept * rewards.progress * distance;
-        let reward = progress + rewards.speed * speed / Reward::SPEED_UNIT;
-        let off = steers && slot.lateral.abs() > lane / 2.0 + BESIDE;
-        match task.scenario.routes.get(slot.route) {
-            Some(route) if off => route.off_lane * reward,
-            _ => reward,
+        if !steers {
+            return rewards.progress * distance + rewards.speed * speed / Reward::SPEED_UNIT;
         }
+        let lane = task.map.routes[slot.route].path.widths[slot.segment];
+        let is_off = slot.lateral.abs() > lane / 2.0 + BESIDE;
+        // Agents of route files are on routes that the scenario does not list.
+        let listed = task.scenario.routes.get(slot.route).filter(|_| is_off);
+        let factor = listed.map_or(1.0, |route| route.off_lane);
+        let progress = factor * rewards.progress * distance;
+        kept_progress(rewards.lane_keeping, progress, slot.lateral, lane)
+            + factor * rewards.speed * speed / Reward::SPEED_UNIT
     }
 }
 
@@ -140,23 +145,21 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
 mod tests {
     use proptest::prelude::*;
 
-    use super::kept;
+    use super::kept_progress;
 
     proptest! {
-        /// Who drives to and fro, and ends where they began, gains nothing, wherever on the road
-        /// they drive.
+        /// No step earns more with lane keeping than without, forwards or backwards. So a vehicle
+        /// that drives to and fro gains no progress reward by it, and on the centre line nothing changes.
         #[test]
-        fn nobody_gains_by_driving_to_and_fro(
+        fn lane_keeping_only_takes(
             weight in 0.0..=1.0f64,
-            steps in proptest::collection::vec((-2.0..2.0f64, -4.0..4.0f64), 1..20),
+            progress in -2.0..2.0f64,
+            lateral in -4.0..4.0f64,
         ) {
-            let back: f64 = steps.iter().map(|(distance, _)| distance).sum();
-            let total: f64 = steps
-                .iter()
-                .chain(&[(-back, 0.0)])
-                .map(|&(distance, lateral)| distance * kept(weight, distance, lateral, 3.5))
-                .sum();
-            prop_assert!(total < 1e-9, "{total}");
+            let kept = kept_progress(weight, progress, lateral, 3.5);
+            prop_assert!(kept <= progress && kept >= progress.min(0.0), "{kept}");
+            prop_assert_eq!(kept_progress(weight, progress, 0.0, 3.5), progress);
+            prop_assert_eq!(kept_progress(0.0, progress, lateral, 3.5), progress);
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use super::super::geometry::{Pose, boxes_overlap};
 use super::super::routes::RouteGeometry;
+use super::super::surface::BESIDE;
 use super::super::vehicle::tyres::Motion;
 use super::*;
 
@@ -265,24 +266,28 @@ fn the_reward_for_speed_is_for_its_magnitude() {
     }
 }
 
-/// With `laneKeeping`, an agent loses its share of the reward for progress in proportion to its
-/// distance from the centre line of its route, up to half a lane's width.
+/// With `laneKeeping`, an agent loses a share of its reward for progress in proportion to its
+/// distance from the centre line of its route, up to half a lane's width. Where progress is negative,
+/// as that off the lane with a negative `offLane`, nothing is lost.
 #[test]
 fn keeping_the_lane_is_rewarded_where_the_scenario_asks_for_it() {
     let there = Snapshot {
         vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 })],
         ..Snapshot::default()
     };
-    // Rewards, distances driven, and lateral offsets of a vehicle that steers off its route.
+    // Rewards, distances driven, and lateral offsets of a vehicle that steers off its route and
+    // then drives backwards.
     let drive = |weight: f64| {
         let mut scenario = scenario("parking_lot");
         scenario.reward.lane_keeping = weight;
+        scenario.routes.iter_mut().for_each(|route| route.off_lane = -1.0);
         let task = Arc::new(Task::new(&scenario, 1).expect("a task"));
         let mut world = world(&task, 0);
         world.reset(0);
         let mut steps = Vec::new();
-        for step in 0..25 {
-            world.act(0, &[0.3, if step < 15 { 1.0 } else { -1.0 }], &mut Vec::new());
+        for step in 0..60 {
+            let throttle = if step < 35 { 1.0 } else { -1.0 };
+            world.act(0, &[0.1, throttle], &mut Vec::new());
             world.observe(0, &there).expect("it is there");
             let agent = world.agents().next().expect("an agent");
             let slot = &world.traffic().slots[0];
@@ -292,17 +297,22 @@ fn keeping_the_lane_is_rewarded_where_the_scenario_asks_for_it() {
         }
         steps
     };
-    let mut beside: f64 = 0.0;
+    let (mut beside, mut off) = (0.0_f64, 0);
     for (free, kept) in drive(0.0).iter().zip(&drive(0.5)).skip(1) {
         let &(driving, reward, driven, lateral, width) = kept;
         assert_eq!((free.0, free.2, free.3), (driving, driven, lateral), "the same drive");
-        if driving {
-            let lost = 0.5 * (lateral / (width / 2.0)).min(1.0) * driven.max(0.0);
-            assert!((free.1 - reward - lost).abs() < 1e-9, "{free:?} {kept:?}");
-            beside = beside.max(lost);
+        assert!(reward <= free.1, "nothing is gained: {free:?} {kept:?}");
+        let is_off = lateral > width / 2.0 + BESIDE;
+        let lost = if driving {
+            let progress = if is_off { -driven } else { driven };
+            0.5 * (lateral / (width / 2.0)).min(1.0) * progress.max(0.0)
         } else {
-            assert_eq!(free.1, reward, "the end of an episode is worth the same");
-        }
+            0.0
+        };
+        assert!((free.1 - reward - lost).abs() < 1e-9, "{free:?} {kept:?}");
+        beside = beside.max(lost);
+        off += usize::from(driving && is_off);
     }
     assert!(beside > 0.05, "the vehicle leaves its route's centre line: {beside}");
+    assert!(off > 0, "the vehicle leaves its lane");
 }
