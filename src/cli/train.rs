@@ -152,6 +152,12 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     if !args.resume {
         refuse_remains(&dir)?;
     }
+    if args.resume && !dir.last().exists() {
+        bail!(
+            "`{}` contains no checkpoint to continue from; a training writes the first one before its first validation. Start it without --resume",
+            dir.path().display()
+        );
+    }
     if args.resume && given.init_from.is_some() {
         bail!("--resume continues with the weights of the run; omit --init-from");
     }

@@ -1,4 +1,5 @@
-//! A map of a scenario: its net, routes, start places, communication range, and conflict points.
+//! A map of a scenario: its net, the polygons that block sight or radio, its routes, start places,
+//! communication range, and conflict points.
 
 use std::fmt::Write as _;
 
@@ -18,6 +19,7 @@ const MEETING: Rgb = [213, 94, 0];
 const ROUTES: [Rgb; 4] = [[0, 114, 178], [230, 159, 0], [86, 180, 233], [120, 94, 200]];
 const SIGNAL: Rgb = [204, 43, 43];
 const RADIO: Rgb = [204, 121, 167];
+const WALL: Rgb = [185, 167, 143];
 /// Width of lines, and radius of conflict points \[m\].
 const LINE: f64 = 0.35;
 const POINT: f64 = 0.9;
@@ -43,6 +45,12 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
             for piece in cut(&lane.shape, &window) {
                 picture.line(&piece, lane.width, color);
             }
+        }
+    }
+    for corners in task.map.walls.corners() {
+        let part = part(corners, &window);
+        if !part.is_empty() {
+            picture.area(&part, WALL);
         }
     }
     let vehicle = task.scenario.vehicle;
@@ -89,6 +97,15 @@ pub fn picture(task: &Task, net: &Net) -> Picture {
     picture.explain(MEETING, "where routes cross or merge");
     if has_signals {
         picture.explain(SIGNAL, "stop lines of signals");
+    }
+    if let Some(occlusion) = &task.scenario.occlusion {
+        let blocked = match (occlusion.sight, occlusion.radio) {
+            (true, true) => "sight and radio",
+            (true, false) => "sight",
+            (false, true) => "radio",
+            (false, false) => "nothing",
+        };
+        picture.explain(WALL, format!("polygons that block {blocked}"));
     }
     picture.explain(
         RADIO,
@@ -176,6 +193,32 @@ fn cut(line: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<Vec<[f64; 2]>> {
     pieces
 }
 
+/// Returns the part of a polygon that lies in a window, by its corners; empty if no part does. A
+/// polygon with an inward corner may leave a part of zero width along the window's edge.
+///
+/// Source: I. Sutherland and G. Hodgman, *Reentrant polygon clipping*, 1974.
+fn part(corners: &[[f64; 2]], window: &[[f64; 2]; 2]) -> Vec<[f64; 2]> {
+    let mut part = corners.to_vec();
+    for (axis, side) in [(0, 0), (0, 1), (1, 0), (1, 1)] {
+        let edge = window[side][axis];
+        let beyond = |p: &[f64; 2]| if side == 0 { edge - p[axis] } else { p[axis] - edge };
+        let mut rest = Vec::with_capacity(part.len() + 4);
+        for (k, b) in part.iter().enumerate() {
+            let a = &part[(k + part.len() - 1) % part.len()];
+            let (from, to) = (beyond(a), beyond(b));
+            if (from > 0.0) != (to > 0.0) {
+                let t = from / (from - to);
+                rest.push([a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])]);
+            }
+            if to <= 0.0 {
+                rest.push(*b);
+            }
+        }
+        part = rest;
+    }
+    part
+}
+
 /// Returns a line across a lane.
 fn across([x, y]: [f64; 2], heading: f64, width: f64) -> [[f64; 2]; 2] {
     let (sin, cos) = heading.sin_cos();
@@ -207,5 +250,20 @@ mod tests {
             [vec![[0.0, 5.0], [10.0, 5.0]], vec![[5.0, 10.0], [5.0, 8.0]]]
         );
         assert!(cut(&[[11.0, 0.0], [11.0, 10.0]], &window).is_empty());
+    }
+
+    #[test]
+    fn a_polygon_is_cut_at_the_window() {
+        let window = [[0.0, 0.0], [10.0, 10.0]];
+        let square = |low: f64, high: f64| [[low, low], [high, low], [high, high], [low, high]];
+        assert_eq!(part(&square(2.0, 3.0), &window), square(2.0, 3.0));
+        assert!(part(&square(11.0, 12.0), &window).is_empty());
+        // The order of the corners stays, from wherever it begins.
+        let mut corner = part(&square(8.0, 12.0), &window);
+        corner.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        assert_eq!(corner, [[8.0, 8.0], [8.0, 10.0], [10.0, 8.0], [10.0, 10.0]]);
+        let mut whole = part(&square(-5.0, 15.0), &window);
+        whole.sort_by(|a, b| a.partial_cmp(b).unwrap());
+        assert_eq!(whole, [[0.0, 0.0], [0.0, 10.0], [10.0, 0.0], [10.0, 10.0]]);
     }
 }

@@ -307,6 +307,16 @@ fn damaged_checkpoints_are_refused() {
     2
     error: cannot read the checkpoint `DIR/nothing`: No such file or directory (os error 2)
     "#);
+    // As a training leaves its folder that was killed at once.
+    std::fs::remove_dir_all(run.join("checkpoints")).expect("removed");
+    assert_snapshot!(tidy(failure(iwol(&["train", "--resume", "--out"]).arg(&run))), @r#"
+    2
+    error: `DIR/run` contains no checkpoint to continue from; a training writes the first one before its first validation. Start it without --resume
+    "#);
+    assert_snapshot!(tidy(failure(iwol(&["evaluate"]).arg(&run))), @r#"
+    2
+    error: `DIR/run` contains no checkpoint (checkpoints/best.safetensors or last.safetensors); a training writes the first one before its first validation
+    "#);
 }
 
 /// Creates a scenario in a folder and replaces a part of its text.

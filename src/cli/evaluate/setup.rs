@@ -161,7 +161,7 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
     let path = RunDir::checkpoint(run);
     if run.is_dir() && !path.exists() {
         bail!(
-            "`{}` contains no checkpoint; a run folder contains checkpoints/best.safetensors",
+            "`{}` contains no checkpoint (checkpoints/best.safetensors or last.safetensors); a training writes the first one before its first validation",
             run.display()
         );
     }

@@ -12,8 +12,8 @@ use crate::sumo::net::Net;
 
 use super::Verdict;
 
-/// Draws the net, the spawn places, the routes, their conflict points, and the radio range of one
-/// vehicle.
+/// Draws the net, the polygons that block sight or radio, the spawn places, the routes, their
+/// conflict points, and the radio range of one vehicle.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Scenario file.

@@ -350,3 +350,12 @@ fn pictures_show_net_places_and_meeting_points() {
         "{html}"
     );
 }
+
+#[test]
+fn pictures_show_what_blocks_sight() {
+    let scenario = Scenario::load(&root().join("scenarios/blind_crossing.xml")).unwrap();
+    let task = Task::new(&scenario, scenario.agents.default).unwrap();
+    let svg = picture(&task, &Net::load(task.map.net_file()).unwrap()).svg();
+    assert_eq!(svg.matches("Z\" fill=\"#b9a78f\"").count(), 4, "a building at each corner");
+    assert!(svg.contains("polygons that block sight<"), "{svg}");
+}
