@@ -43,7 +43,7 @@ pub(super) struct Args {
     #[arg(long, value_name = "P")]
     policy: Vec<String>,
     /// Scenario file [default: the run's]
-    #[arg(long, required_unless_present_any = ["run", "environment"])]
+    #[arg(long)]
     scenario: Option<PathBuf>,
     #[arg(long, value_name = "NAME", conflicts_with = "scenario", help = format!("Environment without SUMO, instead of a scenario: {} [default: the run's]", NamedEnvironment::names().join(", ")))]
     environment: Option<String>,
@@ -90,6 +90,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
         known.push((name.clone(), policy));
+    }
+    if args.run.is_none() && args.scenario.is_none() && args.environment.is_none() {
+        bail!("--policy without a run also needs --scenario or --environment");
     }
     let setup = Setup::new(args)?;
     let models = args.policy.iter().filter_map(|name| name.strip_prefix(ONNX));

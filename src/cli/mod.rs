@@ -252,6 +252,16 @@ fn program() -> String {
     path.file_name().map_or_else(|| "iwol".to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
+/// Returns a path as a word for a shell: in quotes, if it contains characters that shells interpret.
+fn word(path: &std::path::Path) -> String {
+    let text = path.to_string_lossy();
+    let plain = |c: char| c.is_alphanumeric() || "/._-+=,:@%".contains(c);
+    if !text.is_empty() && text.chars().all(plain) {
+        return text.into_owned();
+    }
+    format!("'{}'", text.replace('\'', "'\\''"))
+}
+
 /// Whether this process prints nothing, because another one of the same training does.
 static QUIET: AtomicBool = AtomicBool::new(false);
 
@@ -287,4 +297,21 @@ fn print(text: std::fmt::Arguments<'_>) {
 fn leave(code: i32) -> ! {
     // SAFETY: the function takes a number and does not return.
     unsafe { libc::_exit(code) }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+    use std::process::Command;
+
+    /// A shell reads the word as the path.
+    #[test]
+    fn words_are_what_a_shell_reads_as_one_argument() {
+        assert_eq!(super::word(Path::new("runs/a_b/seed-0,x=1")), "runs/a_b/seed-0,x=1");
+        for path in ["läufe/zwei lauf", "it's", "a&b", "$HOME", "~/run", "a\"b", "", "*", "a\nb"] {
+            let line = format!("printf %s {}", super::word(Path::new(path)));
+            let output = Command::new("sh").args(["-c", &line]).output().expect("a shell");
+            assert_eq!(String::from_utf8_lossy(&output.stdout), path, "{line}");
+        }
+    }
 }

@@ -20,7 +20,7 @@ use crate::train::{Report, RunDir, TrainingEnd, human_duration};
 use crate::words::counted;
 
 use super::config::SettingsArgs;
-use super::{Verdict, program};
+use super::{Verdict, program, word};
 
 /// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags.
 /// The resolved settings are stored in the run folder; `iwol config` prints them without training.
@@ -300,7 +300,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     bar.finish_and_clear();
     let outcome = outcome.with_context(|| {
         let kept = if dir.last().exists() {
-            format!("; continue with: {} train --resume --out {}", program(), dir.path().display())
+            format!("; continue with: {} train --resume --out {}", program(), word(dir.path()))
         } else {
             String::new()
         };
@@ -325,7 +325,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             .map_or_else(|| "-".to_owned(), |(success, _)| format!("{:.1} %", 100.0 * success)),
     );
     if outcome == TrainingEnd::Interrupted {
-        say!("continue with: {} train --resume --out {}", program(), dir.path().display());
+        say!("continue with: {} train --resume --out {}", program(), word(dir.path()));
     }
     tell!("{}", dir.path().display());
     Ok(if stop.load(Ordering::Relaxed) { Verdict::Interrupted } else { Verdict::Good })

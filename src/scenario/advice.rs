@@ -16,11 +16,12 @@ use crate::words::counted;
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
 
-/// Returns all advice on a scenario. `maps` are its nets, with `None` for nets that have errors.
+/// Returns all advice on a scenario. `maps` are its nets and `demand` its route files, with `None` for
+/// those that have errors.
 pub(super) fn advise(
     scenario: &Scenario,
     maps: &[Option<Map>],
-    demand: &Demand,
+    demand: Option<&Demand>,
     reader: &Reader,
 ) -> Vec<Finding> {
     let adviser = Adviser { scenario, reader };
@@ -49,10 +50,12 @@ pub(super) fn advise(
     findings.extend(adviser.reward());
     adviser.unused(&mut findings);
     adviser.without_effect(&sound, &mut findings);
-    findings.extend(unused(demand));
     findings.extend(left_out(&sound));
-    findings.extend(adviser.outside(&sound, demand));
-    findings.extend(adviser.stops(&sound, demand));
+    if let Some(demand) = demand {
+        findings.extend(unused(demand));
+        findings.extend(adviser.outside(&sound, demand));
+        findings.extend(adviser.stops(&sound, demand));
+    }
     findings
 }
 

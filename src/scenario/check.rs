@@ -32,17 +32,16 @@ pub(super) struct Checked {
     /// The nets in the order of [`Scenario::nets`]; `None` for a net that routes or spawn places do
     /// not fit.
     pub(super) maps: Vec<Option<Map>>,
-    /// Contents of the route files, if they can be read.
-    pub(super) demand: Demand,
+    /// Contents of the route files; `None` if they have errors.
+    pub(super) demand: Option<Demand>,
 }
 
 /// Reads the nets and route files of a scenario and checks the scenario against them.
 pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
     let mut errors = Vec::new();
-    let demand = demand(scenario, reader).unwrap_or_else(|error| {
-        errors.push(error);
-        Demand::default()
-    });
+    let read = demand(scenario, reader).map_err(|error| errors.push(error));
+    let is_read = read.is_ok();
+    let demand = read.unwrap_or_default();
     errors.extend(walls(scenario, reader));
     let mut check = |(net, node): (&Net, Node)| {
         let map = net::Net::load(&net.file).map_err(|source| Error::Net {
@@ -84,7 +83,7 @@ pub(super) fn files(scenario: &Scenario, reader: &Reader) -> Checked {
         Some(Map { net: map, paths, plan, of_files })
     };
     let maps = scenario.nets.iter().zip(net_nodes(reader)).map(&mut check).collect();
-    Checked { errors, maps, demand }
+    Checked { errors, maps, demand: is_read.then_some(demand) }
 }
 
 /// Returns the elements `<net>` in the order of [`Scenario::nets`].

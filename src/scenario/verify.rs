@@ -38,7 +38,7 @@ fn inspect(path: &Path, list: &mut Vec<Finding>) -> Result<Option<Scenario>, Err
     let scenario = reader.scenario()?;
     let Checked { errors, maps, demand } = check::files(&scenario, &reader);
     list.extend(errors.iter().map(|error| Finding::of(error, error.path())));
-    list.extend(advice::advise(&scenario, &maps, &demand, &reader));
+    list.extend(advice::advise(&scenario, &maps, demand.as_ref(), &reader));
     Ok(errors.is_empty().then_some(scenario))
 }
 

@@ -29,6 +29,29 @@ fn wrong_names_are_told_what_there_is() {
 }
 
 #[test]
+fn a_policy_without_a_task_is_refused() {
+    assert_snapshot!(failure(&mut iwol(&["evaluate", "--policy", "sumo"])), @r#"
+    2
+    error: --policy without a run also needs --scenario or --environment
+    "#);
+    let said = failure(&mut iwol(&["evaluate"]));
+    assert!(said.contains("<RUN_OR_CHECKPOINT>") && !said.contains("--scenario"), "{said}");
+}
+
+#[test]
+fn a_number_in_quotes_is_told_to_lose_them() {
+    let dir = folder();
+    let file = dir.path().join("a.toml");
+    std::fs::write(&file, "[ppo]\ngamma = \"0.99\"\n").expect("written");
+    let output = failure(iwol(&["train", "--scenario", SCENARIO, "--config"]).arg(&file));
+    let output = output.replace(&dir.path().display().to_string(), "DIR");
+    assert_snapshot!(output, @r#"
+    2
+    error: DIR/a.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1; write it without quotes
+    "#);
+}
+
+#[test]
 fn too_many_agents() {
     assert_snapshot!(failure(&mut iwol(&["train", "--scenario", SCENARIO, "--agents", "49"])), @r#"
     2

@@ -130,6 +130,18 @@ fn the_check_says_what_is_left_out_and_who_never_departs() {
     assert!(task.others > 0 && task.left_out().is_none());
 }
 
+/// A route file with an error has vehicles all the same, so that nothing else is said about it.
+#[test]
+fn an_error_in_a_route_file_is_the_only_finding() {
+    let folder = folder();
+    for wrong in ["depart=\"soon\"", "depart=\"1\" type=\"nowhere\""] {
+        let trip = format!("\n<trip id=\"v\" {wrong} from=\"east_in\" to=\"west_out\"/>");
+        let found = Scenario::check(&scenario(folder.path(), "", &trip));
+        let [finding] = &found.list[..] else { panic!("{wrong}: {:?}", found.list) };
+        assert_eq!(finding.severity, Severity::Error, "{finding}");
+    }
+}
+
 #[test]
 fn the_check_names_those_whom_sumo_refuses() {
     let folder = folder();

@@ -16,7 +16,7 @@ use crate::sweep::{Cell, State, Sweep};
 use crate::words::counted;
 
 use self::progress::{table, time_left};
-use super::{Verdict, program};
+use super::{Verdict, program, word};
 
 /// Trains and evaluates every cell of a grid, each in its own process and folder. Finished cells
 /// are skipped and interrupted cells continue, so that the same command resumes a sweep.
@@ -141,7 +141,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         return Ok(Verdict::Bad);
     }
     if failed.is_empty() {
-        say!("report: {} report {} --runs {}", program(), args.file.display(), args.out.display());
+        say!("report: {} report {} --runs {}", program(), word(&args.file), word(&args.out));
     }
     Ok(if failed.is_empty() { Verdict::Good } else { Verdict::Bad })
 }

@@ -140,7 +140,9 @@ impl Planner<'_> {
         let source = &self.demand.sources[index];
         let mut departures = Vec::new();
         let mut wrong = source.not_taken.clone();
-        for &(route, weight) in source.routes.iter().filter(|entry| entry.1 > 0.0) {
+        // No route of a source that is not taken is used.
+        let routes = if wrong.is_none() { &source.routes[..] } else { &[] };
+        for &(route, weight) in routes.iter().filter(|entry| entry.1 > 0.0) {
             match self.departures(index, source, route) {
                 Ok(found) => {
                     let share = weight / found.len() as f64;

@@ -56,6 +56,10 @@ fn vehicles_that_cannot_be_used_are_left_out_with_their_lines() {
             "friendlyPos",
         ),
         (
+            format!("<trip id=\"v\" depart=\"triggered\" from=\"{from}\" to=\"{to}\"/>"),
+            "give a time",
+        ),
+        (
             format!("<trip id=\"v\" depart=\"0\" fromJunction=\"nowhere\" to=\"{to}\"/>"),
             "no junction `nowhere`",
         ),
