@@ -110,7 +110,7 @@ metrics! {
     /// Means with 95 % intervals; the unit is the episode, or the window.
     Metrics, of: Episodes<'_>, ids: "", part: |metrics| Some(metrics),
     metrics: {
-        success: Estimate = |e| e.rate(|r| r.success),
+        success: Estimate = |e| e.success(),
             "success", "success (%)", PERCENT, Higher, Everywhere,
             "Share of agents that reached their goal; of vehicles, of those that arrived.";
         reward: Estimate = |e| e.mean(|r| r.reward),
@@ -162,7 +162,7 @@ metrics! {
             "delay", "delay of an agent that arrives (s)", SECONDS, Lower, InTables,
             "Time that an agent that arrives takes longer than it would alone, at full throttle \
              from its departure time; for agents from spawn places, mean over an episode's agents.";
-        efficiency: Estimate = |d| d.mean(|r| r.efficiency),
+        efficiency: Estimate = |d| Estimate::t(&d.decided(|r| r.efficiency)).unwrap_or_default(),
             "efficiency", "agents per step", FINE, Higher, InEvaluations,
             "(success − danger) · N / steps, in agents per step; danger is the share of agents \
              that crashed or went off-road.";
@@ -176,7 +176,7 @@ metrics! {
             "loitering", "agents that loiter (%)", PERCENT, Lower, InTables,
             "Share of agents that loitered: slower than 3 m/s for more than 2 s in total, at \
              most 15 m from their finish and with nobody ahead.";
-        red_lights: Option<Estimate> = |d| Estimate::t(&d.known(|r| r.red_lights)),
+        red_lights: Option<Estimate> = |d| Estimate::t(&d.known(|r| r.red_lights.filter(|_| !r.undecided))),
             "red light violations", "red signals passed per agent", FINE_COUNT, Lower, InFigures,
             "Red signals that an agent passes, in tasks with signals.";
         km_per_crash: Option<KmPerCrash> = |d| d.km_per_crash(),
@@ -297,16 +297,19 @@ metrics! {
 struct DrivingRecords<'a>(Vec<&'a DrivingRecord>);
 
 impl DrivingRecords<'_> {
+    /// Returns the estimate of a share of agents, from the episodes in which agents count.
     fn rate(&self, of: fn(&DrivingRecord) -> f64) -> Estimate {
-        Estimate::rate(&self.column(of)).unwrap_or_default()
+        Estimate::rate(&self.decided(of)).unwrap_or_default()
     }
 
     fn mean(&self, of: fn(&DrivingRecord) -> f64) -> Estimate {
-        Estimate::t(&self.column(of)).unwrap_or_default()
+        let all: Vec<f64> = self.0.iter().map(|record| of(record)).collect();
+        Estimate::t(&all).unwrap_or_default()
     }
 
-    fn column(&self, of: fn(&DrivingRecord) -> f64) -> Vec<f64> {
-        self.0.iter().map(|record| of(record)).collect()
+    /// Returns a measurement of the episodes in which agents count.
+    fn decided(&self, of: fn(&DrivingRecord) -> f64) -> Vec<f64> {
+        self.0.iter().filter(|record| !record.undecided).map(|record| of(record)).collect()
     }
 
     /// Returns a measurement of the episodes that have it.
@@ -330,8 +333,9 @@ struct Episodes<'a> {
 }
 
 impl Episodes<'_> {
-    fn rate(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
-        rate(self.records, |_| true, of).unwrap_or_default()
+    fn success(&self) -> Estimate {
+        let known: Vec<f64> = self.records.iter().filter_map(EpisodeRecord::success).collect();
+        Estimate::rate(&known).unwrap_or_default()
     }
 
     fn mean(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {

@@ -29,7 +29,7 @@ use tch::{Kind, Tensor};
 use crate::algo::{Algorithm, Losses, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
-use crate::env::{Environment, WorldState};
+use crate::env::{Environment, EpisodeRecord, WorldState};
 use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
 use crate::fnv::Fnv;
 use crate::ranks::{Ranks, Team};
@@ -362,8 +362,9 @@ impl Trainer {
         dir: &RunDir,
         files: &mut Files,
     ) -> Result<f64, Error> {
-        let success = evaluation.episodes.iter().map(|r| r.success).sum::<f64>()
-            / evaluation.episodes.len().max(1) as f64;
+        let known: Vec<f64> =
+            evaluation.episodes.iter().filter_map(EpisodeRecord::success).collect();
+        let success = known.iter().sum::<f64>() / known.len().max(1) as f64;
         let window =
             evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(&self.progress, evaluation)?;

@@ -253,6 +253,7 @@ fn program() -> String {
 }
 
 /// Returns a path as a word for a shell: in quotes, if it contains characters that shells interpret.
+#[cfg(feature = "learn")]
 fn word(path: &std::path::Path) -> String {
     let text = path.to_string_lossy();
     let plain = |c: char| c.is_alphanumeric() || "/._-+=,:@%".contains(c);
@@ -305,6 +306,7 @@ mod tests {
     use std::process::Command;
 
     /// A shell reads the word as the path.
+    #[cfg(feature = "learn")]
     #[test]
     fn words_are_what_a_shell_reads_as_one_argument() {
         assert_eq!(super::word(Path::new("runs/a_b/seed-0,x=1")), "runs/a_b/seed-0,x=1");

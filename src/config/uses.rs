@@ -40,6 +40,17 @@ pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
 }
 
 impl Config {
+    /// Returns the settings that the algorithm reads, as TOML: two trainings with the same ones are
+    /// the same.
+    pub fn read_settings(&self) -> String {
+        let mut table = toml::from_str(&self.to_toml()).expect("settings are TOML");
+        super::remove_untold(&mut table, &self.algorithm);
+        if algo::capabilities(&self.algorithm).is_ok_and(|method| !method.messages) {
+            table.remove("channel");
+        }
+        table.to_string()
+    }
+
     /// Returns why these settings cannot be used for training, if they cannot.
     pub fn cannot_be_trained(&self) -> Option<String> {
         if let Err(unfit) = algo::check_channel(&self.algorithm, &self.channel) {

@@ -13,7 +13,8 @@ pub struct EpisodeRecord {
     pub episode: u64,
     /// Steps from the first decision to the end of the episode.
     pub episode_length: u32,
-    /// Share of agents that reached their goal; of vehicles, of those that arrived.
+    /// Share of agents that reached their goal; of vehicles, of those that arrived. See
+    /// [`Self::success`] for episodes in which no agent counts.
     pub success: f64,
     /// Sum of the agents' own rewards over the episode, mean over agents; where slots change hands
     /// in an environment without vehicles, mean over slots.
@@ -36,6 +37,12 @@ pub struct EpisodeRecord {
 }
 
 impl EpisodeRecord {
+    /// Returns the share of agents that reached their goal; `None` if no agent counts.
+    pub fn success(&self) -> Option<f64> {
+        let undecided = self.driving.as_ref().is_some_and(|driving| driving.undecided);
+        (!undecided).then_some(self.success)
+    }
+
     /// Returns the metrics of vehicles.
     ///
     /// # Panics

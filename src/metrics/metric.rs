@@ -104,7 +104,7 @@ impl Metric {
             Source::Field(field) => field(metrics),
             Source::Own => metrics.own.get(self.id).map(|own| own.estimate),
         };
-        found.filter(|e| !(e.mean.is_nan() && e.low.is_nan()))
+        found.filter(|e| !e.mean.is_nan() || e.low.is_finite())
     }
 
     /// Returns the heading in tables, with the unit.

@@ -47,6 +47,33 @@ fn intervals_contain_only_possible_numbers() {
     assert_eq!(SUCCESS.possible(unknown), unknown);
 }
 
+/// An episode in which all agents are still on the road and none is late says nothing about their
+/// success.
+#[test]
+fn shares_of_agents_are_over_the_episodes_in_which_agents_count() {
+    let episode = |undecided: bool, success: f64| {
+        let driving = DrivingRecord {
+            undecided,
+            safety: 1.0,
+            efficiency: success,
+            ..DrivingRecord::default()
+        };
+        EpisodeRecord { success, driving: Some(driving), ..EpisodeRecord::default() }
+    };
+    let of = |records: &[EpisodeRecord]| Metrics::of(&[], records, &[0.0], &[], &[]).unwrap();
+    let decided = of(&[episode(false, 0.5), episode(false, 1.0)]);
+    let mixed = of(&[episode(false, 0.5), episode(true, 0.0), episode(false, 1.0)]);
+    assert_eq!(mixed.success, decided.success);
+    assert_eq!(mixed.driving().efficiency, decided.driving().efficiency);
+    let none = of(&[episode(true, 0.0)]);
+    let again: Metrics = serde_json::from_str(&serde_json::to_string(&none).unwrap()).unwrap();
+    for metrics in [none, again] {
+        assert_eq!(SUCCESS.estimate(&metrics), None);
+        assert_eq!(named("safety").unwrap().estimate(&metrics), None);
+        assert!(named("own_collisions").unwrap().estimate(&metrics).is_some());
+    }
+}
+
 #[test]
 fn metrics_survive_their_json() {
     let success = Estimate { mean: 0.5, low: 0.25, high: 0.75 };

@@ -31,6 +31,8 @@ pub struct Recorder {
     /// Names of the numbers of an action, and their bounds.
     actions: Vec<&'static str>,
     bounds: [f32; 2],
+    /// Whether an action is the number of a choice.
+    chooses: bool,
     rows: Rows,
     finished: bool,
 }
@@ -91,7 +93,8 @@ impl Recorder {
         let rows = Rows::new(spec.agents, actions.len());
         let bounds =
             spec.actions.choices().map_or([-1.0, 1.0], |k| [0.0, k.saturating_sub(1) as f32]);
-        Self { episode, agents: spec.agents, actions, bounds, rows, finished: false }
+        let chooses = spec.actions.choices().is_some();
+        Self { episode, agents: spec.agents, actions, bounds, chooses, rows, finished: false }
     }
 
     /// Returns the number of the world that plays the episode for which the recorder waits.
@@ -246,18 +249,19 @@ impl Recorder {
             }
         }
         for (name, action) in self.actions.iter().zip(&self.rows.action) {
-            columns.insert((*name).to_owned(), Column::new("1", action));
+            let unit = if self.chooses { "choice" } else { "1" };
+            columns.insert((*name).to_owned(), Column::new(unit, action));
         }
         if self.rows.value.iter().any(|value| value.is_finite()) {
             columns.insert("value".to_owned(), Column::new("1", &self.rows.value));
         }
         let summary = record.map(|r| {
-            let mut all = vec![
-                ("success", r.success),
-                ("reward", r.reward),
-                ("episode_length", f64::from(r.episode_length)),
-            ];
-            all.extend(r.driving.as_ref().map(|driving| ("safety", driving.safety)));
+            let mut all =
+                vec![("reward", r.reward), ("episode_length", f64::from(r.episode_length))];
+            if let Some(success) = r.success() {
+                all.insert(0, ("success", success));
+                all.extend(r.driving.as_ref().map(|driving| ("safety", driving.safety)));
+            }
             all.extend(r.own.iter().map(|(name, value)| (name.as_str(), *value)));
             all
         });

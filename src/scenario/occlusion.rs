@@ -24,6 +24,22 @@ element! {
     }
 }
 
+/// Attributes that SUMO's `<poly>` may have.
+const ATTRIBUTES: [&str; 12] = [
+    "id",
+    "type",
+    "color",
+    "fill",
+    "geo",
+    "lineWidth",
+    "layer",
+    "shape",
+    "angle",
+    "imgFile",
+    "relativePath",
+    "name",
+];
+
 /// A polygon, with its corners in the net's coordinates \[m\]. The last corner is joined to the
 /// first.
 #[derive(Debug, Clone, PartialEq)]
@@ -45,6 +61,7 @@ impl Occlusion {
         let reader = Reader::new(&self.file, &document);
         let kind = |node: &Node| node.attribute("type").unwrap_or_default().to_owned();
         let all = || polys(&reader);
+        all().try_for_each(|node| reader.expect_attributes(node, &ATTRIBUTES))?;
         for wanted in &self.types {
             if !all().any(|node| kind(&node) == *wanted) {
                 let kinds: Vec<String> = all().map(|node| kind(&node)).collect();
@@ -136,6 +153,7 @@ mod tests {
             (poly(""), "shape"),
             (poly(&format!("{square} geo=\"true\"")), "polyconvert"),
             ("<additional/>".into(), "no element <poly>"),
+            (poly(&format!("{square} typ=\"building\"")), "unknown attribute `typ`"),
         ] {
             let error = read(&xml, &[]).unwrap_err();
             assert!(error.contains(said), "{error}");

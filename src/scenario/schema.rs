@@ -58,7 +58,7 @@ pub enum Kind {
         /// Smallest number of characters.
         least: usize,
     },
-    /// Text of a form that the reader checks in addition to the schema.
+    /// Text of a form that the reader checks in addition to the schema; the form in words.
     Pattern(String),
     /// A number.
     Number {
@@ -142,14 +142,14 @@ impl Kind {
         match self {
             Self::Text { least: 0 } => "text".into(),
             Self::Text { .. } => "text that is not empty".into(),
-            Self::Pattern(pattern) => format!("`{pattern}`"),
+            Self::Pattern(form) => form.clone(),
             Self::Choice(words) => {
                 words.iter().map(|word| format!("`{word}`")).collect::<Vec<_>>().join(", ")
             }
             Self::List { item, most } => {
                 let item = match &**item {
                     Self::Text { .. } => "words".into(),
-                    item => format!("values of the form {}", item.allowed()),
+                    item => format!("values (each: {})", item.allowed()),
                 };
                 let count = most.map_or("one or more".into(), |most| format!("1 to {most}"));
                 format!("{count} {item}, separated by spaces")
@@ -289,7 +289,7 @@ impl<'a, 'input> Schema<'a, 'input> {
                     .filter_map(|n| n.attribute("value").map(Into::into))
                     .collect();
                 match facet("pattern") {
-                    Some(pattern) => Kind::Pattern(pattern.into()),
+                    Some(_) => Kind::Pattern(documentation(simple)),
                     None if words.is_empty() => number("minLength")
                         .map_or(base, |least| Kind::Text { least: least as usize }),
                     None => Kind::Choice(words),

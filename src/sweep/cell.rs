@@ -280,7 +280,7 @@ impl Cell {
             write_atomic(&to, &std::fs::read(&from).map_err(record::Error::io("read", &from))?)?;
         }
         let lines: Vec<serde_json::Value> = record::read_json_lines(&self.run().metrics())?;
-        let validations = lines.iter().filter(|line| line["validation/success"].is_number());
+        let validations = lines.iter().filter(|line| line["validation/episode_length"].is_number());
         let validations: Vec<String> = validations.map(|line| format!("{line}\n")).collect();
         write_atomic(&kept.run().metrics(), validations.concat().as_bytes())?;
         let text = serde_json::to_string(&trained).expect("two numbers");

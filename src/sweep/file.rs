@@ -245,16 +245,12 @@ impl File {
             })
             .map_err(|message| wrong(file, message))?;
         cells.sort_by_key(|cell| cell.config.seed);
-        match cells
-            .iter()
-            .enumerate()
-            .find(|(i, cell)| cells[..*i].iter().any(|other| other.id == cell.id))
-        {
-            Some((_, twice)) => {
-                Err(wrong(file, format!("[grid]: two cells are called {}", twice.id)))
-            }
-            None => Ok(cells),
+        let alike = |(i, cell): &(usize, &Cell)| cells[..*i].iter().any(|one| one.id == cell.id);
+        if let Some((_, twice)) = cells.iter().enumerate().find(alike) {
+            return Err(wrong(file, format!("[grid]: two cells are called {}", twice.id)));
         }
+        check_distinct(&cells).map_err(|message| wrong(file, message))?;
+        Ok(cells)
     }
 
     /// Returns the combinations of the grid without those that a `[[skip]]` leaves out.
@@ -340,6 +336,32 @@ impl File {
             None => Ok(()),
         }
     }
+}
+
+/// Checks that no two cells are the same training.
+///
+/// # Errors
+/// Two cells that differ only in settings that their algorithm does not read.
+fn check_distinct(cells: &[Cell]) -> Result<(), String> {
+    let mut known: BTreeMap<String, &Cell> = BTreeMap::new();
+    for cell in cells {
+        let Some(other) = known.insert(cell.config.read_settings(), cell) else { continue };
+        let differs = |(key, value): &&(String, Value)| value_of(&other.values, key) != Some(value);
+        let keys: Vec<&str> =
+            cell.values.iter().filter(differs).map(|(key, _)| key.as_str()).collect();
+        let algorithm = &cell.config.algorithm;
+        return Err(format!(
+            "[grid]: the cells {} and {} are the same training, because {algorithm} does not read {}; leave one of them out with [[skip]], e.g. when = {{ algorithm = \"{algorithm}\", {} }}",
+            other.id,
+            cell.id,
+            keys.join(" and "),
+            keys.iter()
+                .filter_map(|key| Some(format!("{key:?} = {}", value_of(&cell.values, key)?)))
+                .collect::<Vec<_>>()
+                .join(", "),
+        ));
+    }
+    Ok(())
 }
 
 /// Returns whether two values are the same, numbers by their size.

@@ -326,6 +326,11 @@ fn mistakes_are_named() {
             .contains("there is no [grid]; give it a list")
     );
     assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
+    let alike = message(("seed = [0, 1]", "\"iwol.latent\" = [8, 16]"));
+    assert!(
+        alike.contains("mappo_agents=4_latent=8 and mappo_agents=4_latent=16 are the same training, because mappo does not read iwol.latent"),
+        "{alike}"
+    );
     assert!(message(("name = \"range\"", "episodes = 0")).contains("1 or more episodes"));
     assert!(message(("\"mappo\"]", "\"mapo\"]")).contains("did you mean `mappo`"));
     assert!(

@@ -14,6 +14,7 @@ use crate::env::{DrivingRecord, Environment, EpisodeRecord};
 use crate::evaluate::Evaluation;
 use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
+use crate::stats;
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
@@ -82,7 +83,7 @@ impl Files {
         let beyond = |line: &JsonObject, step: u64| {
             line.get("step").and_then(Value::as_u64).is_some_and(|own| own > step)
         };
-        let validation = |line: &JsonObject| line.contains_key("validation/success");
+        let validation = |line: &JsonObject| line.contains_key("validation/episode_length");
         Ok(Self {
             metrics: open(dir.metrics(), &|line| {
                 beyond(line, if validation(line) { validated } else { step })
@@ -122,22 +123,24 @@ impl Files {
         let mean = |of: fn(&EpisodeRecord) -> f64| {
             episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
         };
-        let driving = |of: fn(&DrivingRecord) -> f64| {
+        let driving = |of: fn(&DrivingRecord) -> Option<f64>| {
             let all: Vec<f64> =
-                episodes.iter().filter_map(|r| r.driving.as_ref()).map(of).collect();
-            (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
+                episodes.iter().filter_map(|r| r.driving.as_ref()).filter_map(of).collect();
+            stats::mean(&all)
         };
+        let known: Vec<f64> = episodes.iter().filter_map(|r| r.success()).collect();
+        let success = stats::mean(&known);
         let mut values: Vec<(&str, f64)> = losses.clone();
+        values.extend(success.map(|success| ("episode/success", success)));
         if !episodes.is_empty() {
             values.extend([
-                ("episode/success", mean(|r| r.success)),
                 ("episode/reward", mean(|r| r.reward)),
                 ("episode/length", mean(|r| f64::from(r.episode_length))),
             ]);
             let known = [
-                ("episode/safety", driving(|r| r.safety)),
-                ("episode/sumo_collisions", driving(|r| f64::from(r.sumo_collisions))),
-                ("episode/own_collisions", driving(|r| f64::from(r.own_collisions))),
+                ("episode/safety", driving(|r| (!r.undecided).then_some(r.safety))),
+                ("episode/sumo_collisions", driving(|r| Some(f64::from(r.sumo_collisions)))),
+                ("episode/own_collisions", driving(|r| Some(f64::from(r.own_collisions)))),
             ];
             values.extend(known.into_iter().filter_map(|(name, value)| Some((name, value?))));
         }
@@ -155,7 +158,7 @@ impl Files {
         let own = own_means("episode", episodes.iter().map(|record| &record.own));
         values.extend(own.iter().map(|(name, mean)| (name.as_str(), *mean)));
         self.write(trainer.progress.step, &values)?;
-        Ok((!episodes.is_empty()).then(|| mean(|r| r.success)))
+        Ok(success)
     }
 
     /// Writes the metrics and the episodes of a validation.

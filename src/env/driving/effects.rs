@@ -31,7 +31,8 @@ pub(super) struct RoadUser {
 }
 
 /// Times at which an agent and a background vehicle passed their conflict point \[s\]: when the
-/// front of each entered and when its rear left.
+/// front of each entered and when its rear left. A time that is still to come is infinite. One from
+/// before the two were first seen together is unknown, and negative infinite.
 #[derive(Debug, Clone, Copy)]
 struct Pass {
     /// Position of the conflict point on the agent's route \[m\].
@@ -42,6 +43,20 @@ struct Pass {
 
 const NOT_YET: Pass =
     Pass { at: f64::INFINITY, agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
+
+impl Pass {
+    /// Notes where the two vehicles are at time `now` \[s\]; `at`: positions of the conflict point
+    /// on the agent's and the other vehicle's route \[m\].
+    fn look(&mut self, at: [f64; 2], agent: &Slot, other: &Slot, now: f64) {
+        let is_first = self.at != at[0];
+        if is_first {
+            *self = Self { at: at[0], ..NOT_YET };
+        }
+        let now = if is_first { f64::NEG_INFINITY } else { now };
+        note(&mut self.agent, agent, at[0], other.size[1], now);
+        note(&mut self.other, other, at[1], agent.size[1], now);
+    }
+}
 
 /// What is recorded about the background traffic of an episode.
 #[derive(Debug, Clone)]
@@ -127,11 +142,7 @@ impl Effects {
             let route = &map.routes[agent.route];
             let Some(met) = route.conflict_between(agent.s, other.route, other.s) else { continue };
             let pass = &mut self.passes[i * count + road_user];
-            if pass.at != met.own {
-                *pass = Pass { at: met.own, ..NOT_YET };
-            }
-            note(&mut pass.agent, agent, met.own, other.size[1], now);
-            note(&mut pass.other, other, met.other, agent.size[1], now);
+            pass.look([met.own, met.other], agent, other, now);
             self.pet = self.pet.min(post_encroachment(pass));
         }
     }
@@ -171,7 +182,7 @@ impl Effects {
 
 /// Returns the time from when the first of two vehicles left a place until the second reached
 /// it \[s\]. It is 0 if both were there at once, and infinite as long as one of them has not
-/// reached the place.
+/// reached the place, or where one passed it before the two were first seen together.
 fn post_encroachment(pass: &Pass) -> f64 {
     let (first, second) = if pass.agent[0] <= pass.other[0] {
         (pass.agent, pass.other)
@@ -189,7 +200,7 @@ fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
         .iter_mut()
         .zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
     {
-        if passed && time.is_infinite() {
+        if passed && *time == f64::INFINITY {
             *time = now;
         }
     }
@@ -218,13 +229,13 @@ mod tests {
     }
 
     /// Returns the post-encroachment time of two vehicles at 10 m/s whose routes cross 50 m from
-    /// both starts. The other vehicle reaches the conflict point `late` seconds after the agent.
-    fn encounter(late: f64) -> f64 {
+    /// both starts. The other vehicle reaches the conflict point `late` seconds after the agent;
+    /// the two are on the road together from second `from`.
+    fn encounter(late: f64, from: f64) -> f64 {
         let (mut pass, mut least) = (NOT_YET, f64::INFINITY);
-        for step in 0..200 {
-            let now = f64::from(step) * 0.1;
-            note(&mut pass.agent, &at(10.0 * now, 10.0), 50.0, 2.0, now);
-            note(&mut pass.other, &at(10.0 * (now - late), 10.0), 50.0, 2.0, now);
+        for now in (0..200).map(|step| f64::from(step) * 0.1).filter(|now| *now >= from) {
+            let (agent, other) = (at(10.0 * now, 10.0), at(10.0 * (now - late), 10.0));
+            pass.look([50.0, 50.0], &agent, &other, now);
             least = least.min(post_encroachment(&pass));
         }
         least
@@ -237,9 +248,19 @@ mod tests {
         for (late, expected) in
             [(2.0, 1.4), (-2.0, 1.4), (0.3, 0.0), (0.0, 0.0), (19.0, f64::INFINITY)]
         {
-            let found = encounter(late);
+            let found = encounter(late, 0.0);
             assert!((found - expected).abs() < 0.11 || found == expected, "{late}: {found}");
         }
+    }
+
+    /// A vehicle that was past the conflict point before the other one came left it at an unknown
+    /// time.
+    #[test]
+    fn post_encroachment_is_unknown_where_nobody_saw_the_first_vehicle_pass() {
+        assert_eq!(encounter(4.0, 6.0), f64::INFINITY);
+        assert_eq!(encounter(-4.0, 6.0), f64::INFINITY);
+        let (seen, from_the_place) = (encounter(4.0, 4.0), encounter(4.0, 5.0));
+        assert!((seen - 3.4).abs() < 0.11 && seen == from_the_place, "{seen} {from_the_place}");
     }
 
     #[test]

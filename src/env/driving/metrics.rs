@@ -11,6 +11,10 @@ use super::trips::FlowMetrics;
 /// without those from route files that are on the road at the end and not late (`trips.rs`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DrivingRecord {
+    /// Whether no agent counts, because all are on the road at the end and none is late. Shares of
+    /// agents are then unknown: the fields contain 0, and 1 for `safety`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub undecided: bool,
     /// Share of agents that neither crashed nor went off-road.
     pub safety: f64,
     /// Share of agents that crashed.

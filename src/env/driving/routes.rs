@@ -230,9 +230,9 @@ pub(super) fn geometry(
         let first = met.iter().zip(&all).filter(|(place, _)| place.first);
         let first: Vec<_> = first.map(|(_, conflict)| *conflict).collect();
         let coinciding = first.iter().filter_map(|met| coinciding_stretch(path, other, *met));
-        let stretches = stretches.iter().copied().chain(coinciding).collect();
+        let stretches: Vec<Shared> = stretches.iter().copied().chain(coinciding).collect();
         let identity = (a == b).then_some(Shared::IDENTITY);
-        let stretches = identity.into_iter().chain(extended(path, other, stretches, size));
+        let stretches = identity.into_iter().chain(extended(path, other, &stretches, size));
         shared.push(stretches.collect());
         // A route that crosses itself comes to the same point twice, much further on.
         let opposing =
@@ -279,7 +279,7 @@ fn coinciding_stretch(own: &Path, other: &Path, met: Conflict) -> Option<Shared>
 /// Extends each stretch as far as a vehicle on `other` blocks a vehicle on `own`: behind a fork,
 /// until its rear no longer reaches into the path of `own`; before a merge, to where the two
 /// centre lines begin to coincide.
-fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec<Shared> {
+fn extended(own: &Path, other: &Path, stretches: &[Shared], size: Size) -> Vec<Shared> {
     /// Centre lines at most this far apart coincide \[m\].
     const CLOSE: f64 = 0.3;
     /// Margin added to the length and width of the vehicle on the other route, since no vehicle
@@ -288,28 +288,42 @@ fn extended(own: &Path, other: &Path, stretches: Vec<Shared>, size: Size) -> Vec
     let in_the_way = |s: f64, shift: f64| {
         let (there, grown) = (Pose::on(other, s), size.map(|x| x + MARGIN));
         let reach = (2.0 * size[0] / STEP) as i32;
-        (-reach..=reach).any(|k| {
+        // Vehicles at the same place are the most likely to overlap.
+        (0..=reach).flat_map(|k| [k, -k]).any(|k| {
             boxes_overlap((&Pose::on(own, s + shift + f64::from(k) * STEP), size), (&there, grown))
         })
     };
     let one = |s: f64, shift: f64| Pose::on(other, s).distance(&Pose::on(own, s + shift)) < CLOSE;
+    // Returns how far ahead (`direction` 1) or behind (-1) of `s` a lane that both routes use goes
+    // on, in whole steps: vehicles on it are at one place.
+    let lane = |s: f64, shift: f64, direction: f64| {
+        let goes_on = |k: &Shared| {
+            let is_on = (k.from..=k.to).contains(&s) && (k.shift - shift).abs() < 1e-6;
+            let end = if direction > 0.0 { k.to } else { k.from };
+            is_on.then_some((end - s) * direction)
+        };
+        let longest = stretches.iter().filter_map(goes_on).fold(0.0, f64::max);
+        (longest / STEP).floor() * STEP
+    };
     let (end, own_end) = (other.length(), own.length());
     let extend = |mut stretch: Shared| {
-        while stretch.to < end
-            && stretch.to + stretch.shift < own_end
-            && in_the_way(stretch.to, stretch.shift)
-        {
-            stretch.to += STEP;
+        while stretch.to < end && stretch.to + stretch.shift < own_end {
+            let sure = lane(stretch.to, stretch.shift, 1.0);
+            if sure == 0.0 && !in_the_way(stretch.to, stretch.shift) {
+                break;
+            }
+            stretch.to += sure.max(STEP);
         }
-        while stretch.from > 0.0
-            && stretch.from + stretch.shift > 0.0
-            && one(stretch.from, stretch.shift)
-        {
-            stretch.from -= STEP;
+        while stretch.from > 0.0 && stretch.from + stretch.shift > 0.0 {
+            let sure = lane(stretch.from, stretch.shift, -1.0);
+            if sure == 0.0 && !one(stretch.from, stretch.shift) {
+                break;
+            }
+            stretch.from -= sure.max(STEP);
         }
         stretch
     };
-    stretches.into_iter().map(extend).collect()
+    stretches.iter().copied().map(extend).collect()
 }
 
 /// Returns the stretches of lanes that both routes use, without any extension; of a route with

@@ -142,7 +142,7 @@ impl Trips {
             begun: begun as f64,
             unfinished: count(|trip| trip.unfinished),
             delay: (!delays.is_empty()).then(|| mean(&delays)),
-            count: count(|_| true).max(1.0),
+            count: count(|_| true),
             arrived: count(|trip| trip.outcome.arrived),
             crashed: count(|trip| trip.outcome.crashed),
             out_of_road: count(|trip| trip.outcome.out_of_road),

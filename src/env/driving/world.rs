@@ -326,7 +326,7 @@ impl World {
         self.write_views();
         if acting == 0 && !self.goes_on() {
             let record = self.record(false);
-            self.episode.end(record.success >= 1.0);
+            self.episode.end(record.success().is_none_or(|success| success >= 1.0));
             self.finished = Some(record);
         }
         Ok(())

@@ -29,8 +29,10 @@ const OPTIONS: [&[&str]; 6] = [
     &["end", "e"],
     &["step-length"],
 ];
-/// Parts of a configuration that do not change the traffic.
-const SILENT: [&str; 3] = ["output", "report", "gui_only"];
+/// Parts of a configuration that do not change the traffic, and the one of them with the files that
+/// SUMO writes.
+const SILENT: [&str; 3] = [OUTPUT, "report", "gui_only"];
+const OUTPUT: &str = "output";
 /// Share of agents.
 const PENETRATION: f64 = 0.2;
 /// Longest step of the configuration that the scenario takes over, and the step otherwise \[s\]:
@@ -58,6 +60,8 @@ struct Configuration {
     step: Option<f64>,
     /// Options that are not taken and may change the traffic.
     others: Vec<String>,
+    /// Options for files that SUMO writes.
+    outputs: Vec<String>,
 }
 
 /// Makes a scenario `name` of a configuration of SUMO, below the folder `root`. A share of the
@@ -78,6 +82,10 @@ pub fn import_configuration(
         let mut notes = Vec::new();
         if !configuration.others.is_empty() {
             notes.push(format!("options without effect here: {}", list(&configuration.others)));
+        }
+        if !configuration.outputs.is_empty() {
+            let outputs = list(&configuration.outputs);
+            notes.push(format!("files that are not written: {outputs}; iwol evaluate --out and --record write results"));
         }
         let files = copies(&configuration.files, &layout, &mut notes)?;
         let scenario = draft(&configuration, &files, &layout, agents, &mut notes)?;
@@ -125,11 +133,12 @@ impl Configuration {
             return Err(reader.value(node, "value", allowed).into());
         }
         let taken = |name: &str| OPTIONS.iter().any(|names| names.contains(&name));
-        let silent = |node: &Node| {
-            let part = node.parent().map(|parent| parent.tag_name().name());
-            part.is_some_and(|part| SILENT.contains(&part))
+        let is_in = |node: &Node, parts: &[&str]| {
+            node.parent().is_some_and(|parent| parts.contains(&parent.tag_name().name()))
         };
-        let others = options.iter().filter(|node| !silent(node)).map(|node| node.tag_name().name());
+        let name = |node: &Node| node.tag_name().name().to_owned();
+        let outputs = options.iter().filter(|node| is_in(node, &[OUTPUT])).map(name);
+        let others = options.iter().filter(|node| !is_in(node, &SILENT)).map(name);
         let net = files(OPTIONS[0]).into_iter().next();
         let missing = || {
             let error = reader.missing(root, "element", OPTIONS[0][0]);
@@ -141,7 +150,8 @@ impl Configuration {
             begin,
             end,
             step: time(OPTIONS[5], "seconds above 0")?.filter(|step| *step > 0.0),
-            others: others.filter(|name| !taken(name)).map(String::from).collect(),
+            others: others.filter(|name| !taken(name)).collect(),
+            outputs: outputs.collect(),
         })
     }
 }
@@ -154,28 +164,37 @@ fn of_file(error: ScenarioError) -> Error {
     }
 }
 
-/// The copies of a configuration's files, and the programs of signals in them.
+/// The copies of a configuration's files, and the programs of signals that were in them.
 struct Copies {
     files: Vec<PathBuf>,
+    /// The files with demand of which they are copies.
+    originals: Vec<PathBuf>,
     /// Elements `<tlLogic>` with their ids.
     programs: Vec<(String, String)>,
 }
 
-/// Copies the files with demand into the folder of the net.
+/// Copies the files with demand into the folder of the net, without the programs of signals, which
+/// become part of the net.
 fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result<Copies, Error> {
-    let mut copies = Copies { files: Vec::new(), programs: Vec::new() };
+    let mut copies = Copies { files: Vec::new(), originals: Vec::new(), programs: Vec::new() };
     let mut empty = Vec::new();
     for (number, path) in files.iter().enumerate() {
         let text = demand::text(path).map_err(of_file)?;
         let document = document(&text, path)?;
         let mut elements = document.root_element().children().filter(Node::is_element);
         let programs = elements.clone().filter(|node| node.has_tag_name("tlLogic"));
-        copies.programs.extend(programs.filter_map(|node| {
-            Some((node.attribute("id")?.to_owned(), text[node.range()].to_owned()))
-        }));
+        let (mut rest, mut end) = (String::new(), 0);
+        for (node, id) in programs.filter_map(|node| Some((node, node.attribute("id")?))) {
+            copies.programs.push((id.to_owned(), text[node.range()].to_owned()));
+            rest += &text[end..node.range().start];
+            end = node.range().end;
+        }
+        rest += &text[end..];
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if !elements.any(|node| demand::is_taken(node.tag_name().name())) {
-            empty.push(file);
+            if end == 0 {
+                empty.push(file);
+            }
             continue;
         }
         // The scenario lists files by spaces.
@@ -183,9 +202,18 @@ fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result
         if files[..number].iter().any(|other| other.file_name() == path.file_name()) {
             name = format!("{number}_{name}");
         }
-        let copy = layout.net.with_file_name(name);
-        fs::copy(path, &copy).map_err(|source| Error::Read { path: path.clone(), source })?;
+        // What is left of a file without its programs is not compressed.
+        let copy = layout.net.with_file_name(match name.strip_suffix(".gz") {
+            Some(plain) if end > 0 => plain,
+            _ => &name,
+        });
+        if end == 0 {
+            fs::copy(path, &copy).map_err(|source| Error::Read { path: path.clone(), source })?;
+        } else {
+            write_atomic(&copy, in_utf8(&rest).as_bytes())?;
+        }
         copies.files.push(copy);
+        copies.originals.push(path.clone());
     }
     if !empty.is_empty() {
         notes.push(format!("files without vehicles, types and routes: {}", list(&empty)));
@@ -207,8 +235,9 @@ fn draft(
         notes.push(format!("programs of signals that the net does not have: {}", list(&unknown)));
     }
     write_atomic(&layout.net, in_utf8(&text).as_bytes())?;
-    let net = Net::load(&layout.net)?;
-    let demand = Demand::load(&copies.files)?;
+    let net = Net::parse(&text, &configuration.net)?;
+    // Errors name the user's files: nothing of a failed import stays.
+    let demand = Demand::load(&copies.originals)?;
     let begin = configuration.begin;
     let span = configuration.end.map_or(f64::INFINITY, |end| end - begin);
     let first = demand.plan(&net, begin, span.min(EPISODE))?;

@@ -146,17 +146,17 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     run("netgenerate", &grid, folder.path()).unwrap();
     let net = fs::read_to_string(folder.path().join("grid.net.xml")).unwrap();
     let signals = net.matches("<tlLogic ").count();
-    let program = net.split("<tlLogic ").nth(1).unwrap().split("</tlLogic>").next().unwrap();
-    let program =
-        format!("<tlLogic {}</tlLogic>", program.replace("programID=\"0\"", "programID=\"own\""));
-    write("own programs.add.xml", &format!("<add>{program}</add>"));
+    let program = |number: usize| {
+        let program = net.split("<tlLogic ").nth(number).unwrap().split("</tlLogic>").next();
+        let own = program.unwrap().replace("programID=\"0\"", "programID=\"own\"");
+        format!("<tlLogic {own}</tlLogic>")
+    };
+    write("own programs.add.xml", &format!("<add>{}</add>", program(1)));
     write("shapes.add.xml", "<additional><poly id=\"p\"/></additional>");
-    write(
-        "types.add.xml",
-        "<add><vTypeDistribution id=\"DEFAULT_VEHTYPE\"><vType id=\"car\" probability=\"3\"/>\
+    let types = "<vTypeDistribution id=\"DEFAULT_VEHTYPE\"><vType id=\"car\" probability=\"3\"/>\
          <vType id=\"lorry\" vClass=\"truck\" probability=\"1\"/></vTypeDistribution>\
-         <busStop id=\"b\" lane=\"A0A1_0\" startPos=\"20\" endPos=\"40\"/></add>",
-    );
+         <busStop id=\"b\" lane=\"A0A1_0\" startPos=\"20\" endPos=\"40\"/>";
+    write("types.add.xml", &format!("<add>{types}{}</add>", program(2)));
     write(
         "a.rou.xml",
         "<routes><flow id=\"f\" begin=\"0\" end=\"9999\" period=\"3\" from=\"left0A0\" to=\"B0right0\"/>\
@@ -168,14 +168,16 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
         "<configuration><input><net-file value=\"grid.net.xml\"/><route-files value=\"a.rou.xml\"/>\
          <additional-files value=\"types.add.xml, shapes.add.xml,own programs.add.xml\"/></input>\
          <time><begin value=\"600\"/><end value=\"0:20:00\"/><step-length value=\"0.2\"/></time>\
-         <processing><time-to-teleport value=\"60\"/></processing><report><verbose value=\"true\"/></report></configuration>",
+         <processing><time-to-teleport value=\"60\"/></processing><report><verbose value=\"true\"/></report>\
+         <output><tripinfo-output value=\"t.xml\"/></output></configuration>",
     );
     let path = folder.path().join("a.sumocfg");
     let imported = import_configuration(folder.path(), "city", &path, None).unwrap();
     let notes = imported.notes.join("\n");
     for expected in [
         "options without effect here: time-to-teleport",
-        "without vehicles, types and routes: shapes.add.xml, own programs.add.xml",
+        "without vehicles, types and routes: shapes.add.xml\n",
+        "files that are not written: tripinfo-output",
         "episodes last 300 s of 600 s",
         "20 % of the cars are agents",
     ] {
@@ -184,6 +186,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     let checked = Scenario::check(&imported.scenario);
     let said: Vec<String> = checked.list.iter().map(ToString::to_string).collect();
     assert!(errors(&checked.list).is_empty() && !said.concat().contains("left out"), "{said:?}");
+    assert!(!said.concat().contains("tlLogic"), "its program is part of the net: {said:?}");
     let scenario = checked.scenario.unwrap();
     assert_eq!((scenario.traffic.begin.0, scenario.control.interval), (600.0, 0.2));
     assert_eq!(
@@ -193,7 +196,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     let net = fs::read_to_string(&scenario.nets[0].file).unwrap();
     assert_eq!(
         (net.matches("programID=\"own\"").count(), net.matches("<tlLogic ").count()),
-        (1, signals)
+        (2, signals)
     );
     let trial =
         Trial::run(&scenario, scenario.agents.default, 200, Seed::new(0), &Hosting::default());
@@ -214,6 +217,10 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     assert!(time.contains("b.sumocfg:2:40: `now` is not a valid value of <begin>"), "{time}");
     let gone = refused(&format!("{input}<r value=\"gone.rou.xml\"/></configuration>"));
     assert!(gone.starts_with("cannot read `") && gone.contains("gone.rou.xml"), "{gone}");
+    write("bad.rou.xml", "<routes><vehicle id=\"v\" depart=\"0\" route=\"none\"/></routes>");
+    let bad = refused(&format!("{input}<r value=\"bad.rou.xml\"/></configuration>"));
+    let user = folder.path().join("bad.rou.xml").display().to_string();
+    assert!(bad.starts_with(&user), "the user's file is named: {bad}");
     let missing = folder.path().join("missing.sumocfg");
     let missing = import_configuration(folder.path(), "other", &missing, None).unwrap_err();
     assert!(missing.to_string().starts_with("cannot read `"), "{missing}");

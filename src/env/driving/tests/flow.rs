@@ -355,3 +355,23 @@ fn every_vehicle_of_the_plan_may_be_an_agent() {
     }
     assert!(together > 5, "of three cars that depart together, some are agents: {together}");
 }
+
+/// An episode that ends before any agent arrives, fails or is late says nothing about success.
+#[test]
+fn an_episode_without_an_agent_that_counts_is_undecided() {
+    let record = |horizon: u32| {
+        let task = flow(4, 1.0, horizon);
+        let (mut world, mut rails) = (world(&task, 2), Rails::new(&task));
+        world.reset(0);
+        loop {
+            exchange(&mut world, &mut rails, &[0.6; 4]);
+            if let Some(record) = world.take_finished() {
+                break record;
+            }
+        }
+    };
+    let (short, long) = (record(60), record(900));
+    assert_eq!((short.success(), short.driving().undecided), (None, true));
+    assert!(short.driving().flow.expect("a flow").departed > 0);
+    assert!(long.success().is_some_and(|success| success > 0.0) && !long.driving().undecided);
+}

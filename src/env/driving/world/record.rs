@@ -10,7 +10,7 @@ impl World {
         let (task, steps, now) = (&*self.task, self.episode.step, self.now());
         let (agents, others) = self.traffic.slots.split_at(task.agents);
         let trips = self.trips.counts(task, steps, agents, &self.loitering);
-        let n = trips.count;
+        let n = trips.count.max(1.0);
         let (success, danger) = (trips.arrived / n, trips.failed / n);
         let background = || self.background.metrics(task, others);
         let flow = task.has_flow().then(|| {
@@ -23,6 +23,7 @@ impl World {
         // Rewards are per slot where agents come from route files.
         let per_agent = total * task.agents as f64 / trips.begun.max(1.0);
         let driving = DrivingRecord {
+            undecided: trips.count == 0.0,
             safety: 1.0 - danger,
             crash: trips.crashed / n,
             unfinished: trips.unfinished / n,
