@@ -236,8 +236,8 @@ impl Trainer {
     }
 
     /// Evaluates the averaged weights with deterministic actions, in episodes that training never
-    /// plays. At every step of the training they are others: a run that stops at the first weights
-    /// that succeed would be chosen for the episodes if they were always the same.
+    /// plays. The episodes depend on the number of environment steps so far. If all validations
+    /// played the same episodes, a run would stop at weights that happen to suit these episodes.
     ///
     /// # Errors
     /// If worlds cannot go on.

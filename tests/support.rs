@@ -53,7 +53,7 @@ pub fn task(name: &str, agents: u32) -> Arc<Task> {
 /// Returns options of worlds whose vehicles the agents drive, in an endless stream of episodes.
 pub fn agents_drive(worlds: usize, seed: u64, hosting: Hosting) -> VecOptions {
     VecOptions {
-        replay: 0.0,
+        repeat_failed: 0.0,
         worlds,
         stride: worlds as u64,
         driver: Driver::Agents,

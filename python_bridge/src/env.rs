@@ -58,7 +58,7 @@ struct Running {
     seed: u64,
 }
 
-/// Arrays that receive a step's results, and their names in errors.
+/// NumPy's arrays that receive the results of a step, as attributes of a Python object.
 #[derive(FromPyObject)]
 pub(crate) struct Arrays<'py> {
     /// `[E, N, O]`

@@ -45,7 +45,8 @@ pub struct Batch {
     /// Shift of the means by noise of earlier steps, in units of the scheduled standard deviation,
     /// `[T · E, N, A]`; empty where noise is independent from step to step.
     pub carried: Tensor,
-    /// Logarithm of the share of the standard deviation that is drawn anew, `[T · E, N, 1]`.
+    /// Logarithm of the share of each dimension's standard deviation that is drawn anew,
+    /// `[T · E, N, A]`; `[T · E, N, 1]` with zeros where noise is independent from step to step.
     pub log_fresh: Tensor,
     /// Advantages, normalised over the active samples, `[T · E, N]`.
     pub advantage: Tensor,

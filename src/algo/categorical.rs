@@ -33,7 +33,8 @@ impl CategoricalHead {
     }
 
     /// Returns the numbers of choices, and the logarithms of their probabilities, both `[E, N, 1]`.
-    /// The noise of a sample is standard normal; the choice is that at its quantile.
+    /// A sample takes the first choice at which the cumulative probability reaches the quantile of
+    /// its standard normal noise.
     pub(super) fn sample(
         &self,
         x: &Tensor,

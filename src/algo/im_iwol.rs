@@ -170,8 +170,8 @@ impl Networks for ImIwol {
         let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let world = self.policy.world.loss(batch, shard, &z);
-        let told = self.policy.interaction.forward(&some(&z));
-        let interaction = mean_squared_error(&told, &some(&messages.detach()));
+        let prediction = self.policy.interaction.forward(&some(&z));
+        let interaction = mean_squared_error(&prediction, &some(&messages.detach()));
 
         let actor =
             &policy.loss + iwol.lambda_world * &world + iwol.lambda_interaction * &interaction;

@@ -44,7 +44,8 @@ pub struct Iwol {
     /// them are open. `graph/open_edges` of
     /// `graph/possible_edges` in `metrics.jsonl` says how many are.
     pub graph_bias: f64,
-    /// Whether the value function also reads the privileged state, as those of the other methods do.
-    /// Otherwise it reads local observations and messages only (paper). The policy reads neither.
+    /// Whether the value function also reads the privileged state, as those of most other methods
+    /// do. Otherwise it reads local observations and messages only (paper). This setting changes
+    /// nothing about what the policy reads.
     pub privileged_value: bool,
 }

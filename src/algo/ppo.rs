@@ -1,4 +1,4 @@
-//! Proximal policy optimisation as pure functions, which MAPPO and IWoL share
+//! Proximal policy optimisation as pure functions, which all on-policy methods share
 //! (marlbenchmark/on-policy, `r_mappo.py`).
 
 use schemars::JsonSchema;

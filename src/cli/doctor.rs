@@ -100,11 +100,13 @@ fn check_sumo(findings: &mut Findings) {
         }
     };
     findings.row("SUMO", format!("{} ({})", found.binary().display(), found.reason()));
-    let data =
-        found.home().map_or_else(|| "not found".to_owned(), |home| home.display().to_string());
     match found.program("netconvert") {
         Ok(program) => {
-            findings.row("netconvert", format!("{}, with the data in {data}", program.display()));
+            let data = found.home().map_or_else(
+                || "; SUMO's data folder was not found".to_owned(),
+                |home| format!(", with the data in {}", home.display()),
+            );
+            findings.row("netconvert", format!("{}{data}", program.display()));
         }
         Err(error) => {
             let hint = "the verbs `scenario new`, `import` and `build` need it: set SUMO_HOME to a whole installation";

@@ -70,8 +70,8 @@ impl Episode {
     }
 
     /// Repeats one of the failed episodes, if there are any, with this chance.
-    pub(super) fn with_replay(self, chance: f64) -> Self {
-        Self { order: self.order.with_replay(chance), ..self }
+    pub(super) fn with_repeat_failed(self, chance: f64) -> Self {
+        Self { order: self.order.with_repeat_failed(chance), ..self }
     }
 
     /// Returns the seed of the episode.
@@ -85,7 +85,7 @@ impl Episode {
     }
 
     /// Returns whether the episode repeats one that failed before.
-    pub(super) fn is_replayed(&self) -> bool {
+    pub(super) fn is_repeated(&self) -> bool {
         self.order.position.replaying
     }
 

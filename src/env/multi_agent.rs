@@ -177,7 +177,7 @@ impl<E: MultiAgentEnv + 'static, F: Fn() -> E + Send + Sync> Simple<F> {
             let Stream { seed, episodes, repeat_failed, stride, .. } = stream;
             let first = episodes.start + e;
             let episode = Episode::new(*seed, first, *stride, episodes.end);
-            let episode = episode.with_replay(*repeat_failed);
+            let episode = episode.with_repeat_failed(*repeat_failed);
             World::new((self.make)(), episode, stream.training)
         };
         LockStep { worlds: (0..stream.worlds as u64).map(world).collect() }

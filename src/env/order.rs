@@ -48,7 +48,7 @@ pub(super) struct Order {
     /// End of the stream: episodes from this number on are not played.
     end: u64,
     /// Probability that a failed episode is repeated next, if there is one; 0: never.
-    replay: f64,
+    repeat_failed: f64,
     pub(super) position: Position,
 }
 
@@ -60,13 +60,13 @@ impl Order {
             seed: seed.child("replay"),
             stride,
             end,
-            replay: 0.0,
+            repeat_failed: 0.0,
             position: Position::before(first),
         }
     }
 
-    pub(super) fn with_replay(self, replay: f64) -> Self {
-        Self { replay, ..self }
+    pub(super) fn with_repeat_failed(self, repeat_failed: f64) -> Self {
+        Self { repeat_failed, ..self }
     }
 
     /// Continues with `episode` and those that follow it in the stream. Failed episodes stay
@@ -111,7 +111,7 @@ impl Order {
     /// Records the end of `episode`, and whether all agents arrived (`solved`). Chooses the next
     /// episode.
     pub(super) fn ended(&mut self, episode: u64, solved: bool) {
-        if self.replay <= 0.0 {
+        if self.repeat_failed <= 0.0 {
             return;
         }
         let episode_index = self.episode_index();
@@ -124,7 +124,7 @@ impl Order {
             }
         }
         let mut rng = self.seed.index(episode_index).rng();
-        if !failed.is_empty() && rng.random_bool(self.replay) {
+        if !failed.is_empty() && rng.random_bool(self.repeat_failed) {
             *next = failed[rng::below(&mut rng, failed.len())];
         }
     }
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn failed_episodes_come_back_until_they_are_solved() {
-        let mut order = Order::new(Seed::new(1), 0, 4, u64::MAX).with_replay(0.5);
+        let mut order = Order::new(Seed::new(1), 0, 4, u64::MAX).with_repeat_failed(0.5);
         let hard = |episode: u64| episode != 8 && episode != 40;
         let begun = play(&mut order, 400, hard);
         let fresh: Vec<u64> = begun.iter().filter(|b| !b.1).map(|b| b.0).collect();
@@ -169,7 +169,7 @@ mod tests {
         let again = |episode| begun.iter().filter(|b| b.1 && b.0 == episode).count();
         assert!(
             begun.iter().all(|b| !b.1 || b.0 == 8 || b.0 == 40),
-            "what was solved is not replayed"
+            "what was solved is not repeated"
         );
         assert!(
             again(8) > 60 && again(40) > 60 && again(8) + again(40) < 240,
@@ -184,7 +184,7 @@ mod tests {
 
     #[test]
     fn few_are_remembered_and_none_twice() {
-        let mut order = Order::new(Seed::new(3), 1, 2, u64::MAX).with_replay(0.3);
+        let mut order = Order::new(Seed::new(3), 1, 2, u64::MAX).with_repeat_failed(0.3);
         play(&mut order, 200, |_| false);
         let mut failed = order.position.failed.clone();
         assert_eq!(failed.len(), MEMORY);
@@ -196,9 +196,9 @@ mod tests {
     #[test]
     fn goes_on_from_a_position_as_without_a_break() {
         let solved = |episode: u64| !episode.is_multiple_of(3);
-        let mut order = Order::new(Seed::new(5), 0, 2, u64::MAX).with_replay(0.5);
+        let mut order = Order::new(Seed::new(5), 0, 2, u64::MAX).with_repeat_failed(0.5);
         play(&mut order, 37, solved);
-        let mut other = Order::new(Seed::new(5), 0, 2, u64::MAX).with_replay(0.5);
+        let mut other = Order::new(Seed::new(5), 0, 2, u64::MAX).with_repeat_failed(0.5);
         other.position = order.position.clone();
         assert_eq!(play(&mut order, 50, solved), play(&mut other, 50, solved));
     }

@@ -30,7 +30,7 @@ pub struct EpisodeRecord {
     pub interrupted: bool,
     /// Whether the episode repeats one that failed before ([`super::Stream::repeat_failed`]).
     #[serde(skip)]
-    pub replayed: bool,
+    pub repeated: bool,
     /// Mean reward over agents in each step.
     #[serde(skip)]
     pub step_rewards: Vec<f32>,

@@ -15,7 +15,7 @@ pub trait Controller {
 
 /// Chooses the actions of all worlds of an evaluation.
 pub trait Actor {
-    /// Forgets everything about the worlds: others follow.
+    /// Forgets everything about the present worlds. The next decisions are for other worlds.
     fn begin(&mut self);
 
     /// Chooses the actions of all worlds, and returns diagnostics of the decision in the world
@@ -66,7 +66,7 @@ impl<'a> PolicyDriver<'a> {
         Self { policy, spec, seed, actions: Vec::new(), actor, recorder }
     }
 
-    /// Forgets everything about the worlds: others follow.
+    /// Forgets everything about the present worlds. The next decisions are for other worlds.
     pub(super) fn begin(&mut self) {
         self.actions = vec![0.0; WORLDS * self.spec.agents * self.spec.actions.len()];
         if let Some(actor) = &mut self.actor {

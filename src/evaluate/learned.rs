@@ -19,7 +19,7 @@ use crate::rollout::{Rollout, Sizes};
 /// Number of decisions between two samples of the latent.
 const LOOK: u64 = 8;
 
-/// The mean actions of a trained policy.
+/// A trained policy, which acts deterministically, and the channel through which its messages pass.
 pub struct LearnedPolicy<'a> {
     /// The policy.
     pub learner: &'a dyn Algorithm,
@@ -148,8 +148,8 @@ impl Actor for LearnedActor<'_> {
     }
 }
 
-/// Adds the bits that active agents send, and their number, to those of each world's episode. Who has
-/// nobody in range sends nothing.
+/// Adds the bits that each world's active agents send in a decision, and the number of these
+/// agents, to the sums of the world's episode. An agent with no other agent in range sends nothing.
 fn count_bits(frames: &Rollout, episodes: &[u64], bits: f64, sent: &mut BTreeMap<u64, (f64, f64)>) {
     let n = frames.sizes.agents;
     let worlds = frames.active.chunks(n).zip(frames.comm.chunks(n * n)).zip(episodes);

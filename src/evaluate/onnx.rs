@@ -54,9 +54,9 @@ impl OnnxPolicy {
     }
 
     fn read(file: &Path, spec: &EnvSpec) -> Result<Self, String> {
-        // By it the library tells formats apart.
+        // The library recognises the format of a file by the ending of its name.
         if file.extension().is_none_or(|end| end != "onnx") {
-            return Err("the name of an ONNX file ends in .onnx".to_owned());
+            return Err("must have a name that ends in .onnx; rename it".to_owned());
         }
         std::fs::File::open(file).map_err(|error| format!("cannot be read: {error}"))?;
         let model = Model::load_file(file).map_err(|error| format!("is no ONNX model: {error}"))?;
@@ -94,7 +94,9 @@ impl OnnxPolicy {
                 _ => None,
             };
             if let Some(size) = differs(agents, n) {
-                return Err(format!("is for {size} agents; the task has {n}"));
+                return Err(format!(
+                    "is for {size} agents; the task has {n}: evaluate it with --agents {size}"
+                ));
             }
             if let Some(size) = differs(numbers, width) {
                 return Err(format!(

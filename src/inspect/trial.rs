@@ -126,7 +126,7 @@ impl Trial {
             driver: Driver::Agents,
             seed: seed.child("episodes"),
             episodes: 0..u64::from(u32::MAX),
-            replay: 0.0,
+            repeat_failed: 0.0,
             hosting: Hosting { processes: 1, ..*hosting },
         };
         let mut env = VecEnv::new(&task, &options)?;

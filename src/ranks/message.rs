@@ -40,19 +40,19 @@ impl Place {
 pub(super) struct Finished {
     record: EpisodeRecord,
     step_rewards: Vec<f32>,
-    replayed: bool,
+    repeated: bool,
 }
 
 impl From<EpisodeRecord> for Finished {
     fn from(mut record: EpisodeRecord) -> Self {
         let step_rewards = std::mem::take(&mut record.step_rewards);
-        Self { replayed: record.replayed, step_rewards, record }
+        Self { repeated: record.repeated, step_rewards, record }
     }
 }
 
 impl From<Finished> for EpisodeRecord {
-    fn from(Finished { record, step_rewards, replayed }: Finished) -> Self {
-        Self { replayed, step_rewards, ..record }
+    fn from(Finished { record, step_rewards, repeated }: Finished) -> Self {
+        Self { repeated, step_rewards, ..record }
     }
 }
 

@@ -2,9 +2,9 @@
 //! SVG.
 //!
 //! A recording is JSON. Row `k` of its columns describes the agents at step `k`: pose and speed
-//! before the decision, the chosen action, the reward for it (the agent's own, without the
-//! cooperative mix), and the value estimate for the observation. Numbers are stored as 16-bit
-//! integers with a scale, in base64, so that 48 vehicles over 1000 steps take 1.4 MB:
+//! before the decision, the chosen action, the agent's own reward for it, and the value estimate
+//! for the observation. Numbers are stored as 16-bit integers with a scale, in base64, so that 48
+//! vehicles over 1000 steps take 1.4 MB:
 //!
 //! ```python
 //! column = recording["columns"]["speed"]
@@ -72,7 +72,7 @@ pub struct Recording {
     pub walls: Vec<Vec<[f64; 2]>>,
     /// Columns of numbers per step and agent, `[T, N]` each, by name.
     pub columns: BTreeMap<String, Column>,
-    /// Base64 of `[T, N]` bytes: 0 absent, 1 driving, 2 arrived, 3 crashed.
+    /// Base64 of `[T, N]` bytes: 0 absent, 1 driving, 2 arrived, 3 failed (crashed or off-road).
     pub status: String,
     /// Base64 of bits `[T, N, ⌈N/8⌉]`, least significant bit first: row i marks the agents whose
     /// messages reach agent i.
@@ -283,7 +283,7 @@ enum Status {
     Gone = 0,
     Driving = 1,
     Arrived = 2,
-    Crashed = 3,
+    Failed = 3,
 }
 
 impl From<u8> for Status {
@@ -291,7 +291,7 @@ impl From<u8> for Status {
         match code {
             1 => Self::Driving,
             2 => Self::Arrived,
-            3 => Self::Crashed,
+            3 => Self::Failed,
             _ => Self::Gone,
         }
     }
@@ -372,7 +372,7 @@ mod tests {
         assert_eq!(loaded, recording());
         assert_eq!(loaded.links(0), [(0, 1)]);
         assert_eq!(loaded.links(1), [(1, 0)]);
-        assert_eq!(loaded.vehicles(1)[0].0, Status::Crashed);
+        assert_eq!(loaded.vehicles(1)[0].0, Status::Failed);
         assert!(loaded.tracks(0).is_empty(), "one position is no way");
         let tracks = loaded.tracks(1);
         assert_eq!((tracks.len(), tracks[0].len()), (1, 2), "{tracks:?}: the other one has left");

@@ -138,7 +138,7 @@ impl Recorder {
             let arrived = agent.status == FigureStatus::Arrived;
             let status = match agent.status {
                 FigureStatus::Active => Status::Driving,
-                FigureStatus::Failed => Status::Crashed,
+                FigureStatus::Failed => Status::Failed,
                 FigureStatus::Arrived if rows.arrived[i] < FAREWELL => Status::Arrived,
                 _ => Status::Gone,
             };

@@ -154,7 +154,7 @@ impl Recording {
             let color = match status {
                 Status::Driving => DRIVING,
                 Status::Arrived => ARRIVED,
-                Status::Crashed => CRASHED,
+                Status::Failed => CRASHED,
                 Status::Gone => continue,
             };
             let (l, w) = (sizes[number].length, sizes[number].width);
@@ -173,7 +173,7 @@ impl Recording {
                 -w * 0.38,
                 l * 0.13,
                 w * 0.76,
-                if *status == Status::Crashed { cross(l, w, unit) } else { String::new() },
+                if *status == Status::Failed { cross(l, w, unit) } else { String::new() },
                 -1.6 * unit,
                 2.2 * unit,
             );

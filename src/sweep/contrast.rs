@@ -40,7 +40,7 @@ pub enum Compared {
     #[default]
     Evaluation,
     /// The area under the curve of the validations in training, as a mean over environment steps:
-    /// who learns sooner has more.
+    /// a run that learns sooner has a larger area.
     Training,
 }
 

@@ -10,7 +10,7 @@
 //! agents = [4, 8]
 //! seed = [0, 1, 2]
 //! [[rule]]                                # settings of the cells that match
-//! when = { agents = [32, 48] }
+//! when = { agents = 8 }
 //! set = { "train.envs" = 8 }
 //! [[skip]]                                # combinations that are no cells
 //! when = { agents = 4, seed = 2 }
@@ -97,8 +97,8 @@ pub struct Evaluate {
     /// values [default: all].
     #[serde(default)]
     pub when: Table,
-    /// The key along the horizontal axis of the figure [default: the only key of this grid, or
-    /// `agents`].
+    /// The key along the horizontal axis of the figure [default: the only key of this grid, or else
+    /// `agents` if it varies, or else the first key that varies, except `algorithm` and `seed`].
     #[serde(default)]
     pub x: Option<String>,
     /// A key whose values each get their own panel in the figure, which then shows only success.

@@ -65,7 +65,7 @@ impl Trainer {
         let parameters = self.advance();
         ahead.player.load(&self.learner.state())?;
         (ahead.log_std, ahead.mark) = (parameters.log_std, self.collector.mark());
-        // What follows the last update would not be learned from.
+        // No update learns from what would be played after the last update.
         let goes_on = self.progress.step < self.config.steps;
         let noise = self.iteration_seed(1).child("noise");
         let (learner, rollout) = (&mut *self.learner, &self.rollout);

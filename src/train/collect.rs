@@ -44,7 +44,7 @@ impl Collector {
     /// Plays as many steps as the rollout has, in all worlds, and stores them.
     ///
     /// # Errors
-    /// If SUMO fails twice in a row.
+    /// If a world fails and the environment cannot recover it ([`Error::Env`]).
     pub(super) fn collect(
         &mut self,
         config: &Config,

@@ -84,7 +84,7 @@ pub enum Error {
     },
     /// Processes of one training have come to different weights.
     #[error(
-        "the processes of this training have come to different weights in iteration {iteration}, so that it cannot go on: their          machines compute differently; start it on machines of one kind"
+        "the processes of this training have come to different weights in iteration {iteration}, so that it cannot go on: their machines compute differently; start it on machines of one kind"
     )]
     Diverged {
         /// Number of the iteration.

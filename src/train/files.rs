@@ -119,7 +119,7 @@ impl Files {
         steps_per_second: f64,
     ) -> Result<Option<f64>, Error> {
         let episodes: Vec<_> =
-            trainer.collector.finished.iter().filter(|r| !r.interrupted && !r.replayed).collect();
+            trainer.collector.finished.iter().filter(|r| !r.interrupted && !r.repeated).collect();
         let mean = |of: fn(&EpisodeRecord) -> f64| {
             episodes.iter().map(|r| of(r)).sum::<f64>() / episodes.len() as f64
         };

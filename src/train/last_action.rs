@@ -46,8 +46,8 @@ impl LastAction {
         );
     }
 
-    /// Writes the noted means into row `t` of the observations, of agents that are present and did
-    /// not only begin.
+    /// Writes the noted means into row `t` of the observations of all present agents whose
+    /// trajectories began before row `t`.
     pub(super) fn show(&self, rollout: &mut Rollout, t: usize) {
         let s = rollout.sizes;
         for agent in 0..s.envs * s.agents {

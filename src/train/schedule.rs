@@ -1,10 +1,11 @@
 //! The schedule of noise, entropy bonus and learning rate, the effect of validations on it, and the
 //! criterion for stopping early.
 //!
-//! Exploration lowers the noise. Annealing lowers it further in its first two thirds, with the
-//! weight of the entropy bonus, and the learning rate in its last third. Annealing begins as soon
-//! as validations succeed, and at the latest when exploration is over. Until the task is solved,
-//! the learning rate falls again and again.
+//! Exploration lowers the noise. Annealing lowers it further in its first two thirds, together with
+//! the weight of the entropy bonus, and lowers the learning rate in its last third. Annealing
+//! begins as soon as a validation succeeds, and at the latest when exploration is over; with
+//! `train.anneal_success = 0` it takes place at the end of the run only. Until the task is solved
+//! (`train.stop_success`), the learning rate rises and falls again.
 
 use crate::algo::UpdateParameters;
 use crate::algo::settings::{Exploration, NoiseMode};
@@ -46,8 +47,8 @@ pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
     let left = whole.saturating_sub(progress.annealed);
     // If annealing began after this iteration, it would not be over at the end of the run.
     let ending = progress.step + steps + left > config.steps;
-    // A policy that needs its noise to succeed does not succeed in validations, and it does not
-    // learn to do without as long as it has the noise.
+    // A policy that succeeds only with noise fails in validations, which have no noise, and does
+    // not learn to succeed without noise while the noise stays. So exploration ends in any case.
     if progress.annealing || ending || is_explored(config, progress) {
         progress.annealed += steps;
     }

@@ -246,7 +246,10 @@ fn sumo_does_not_compare_two_roads_on_one_strip() {
     let pair = task(&scenario(folder.path(), routes, spawns, "", 2), 2);
     let audit =
         play(&pair, &Policy::Throttle(1.0), 3, Seed::new(0)).metrics().unwrap().driving().audit;
-    assert_eq!(audit.differences(), [("only ours: on lanes that SUMO does not compare", 3)]);
+    assert_eq!(
+        audit.differences(),
+        [("only the box test: on lanes that SUMO does not compare", 3)]
+    );
 }
 
 const TWO_LANES: [&str; 2] = [

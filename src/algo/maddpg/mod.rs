@@ -222,8 +222,8 @@ impl Maddpg {
             let iwol = &self.settings.iwol;
             let (z, _) = policy.read(&of_active(&f));
             let world = policy.world.error(&z, &of_active(&before.state));
-            let told = policy.interaction.forward(&z);
-            let interaction = mean_squared_error(&told, &of_active(&message.detach()));
+            let prediction = policy.interaction.forward(&z);
+            let interaction = mean_squared_error(&prediction, &of_active(&message.detach()));
             report.extend([
                 ("loss/world", scalar(&world)),
                 ("loss/interaction", scalar(&interaction)),

@@ -54,33 +54,33 @@ audit! {
     agreed,
     /// Only the box test: the junction is of SUMO's type `unregulated` or
     /// `traffic_light_unregulated`, where SUMO never tests.
-    ours_unregulated: "only ours: unregulated junction",
+    ours_unregulated: "only the box test: unregulated junction",
     /// Only the box test: the boxes overlapped within a step, but no longer at its end.
-    ours_between_steps: "only ours: between two steps",
+    ours_between_steps: "only the box test: between two steps",
     /// Only the box test: the boxes would not have overlapped on the centre lines of their lanes.
-    ours_lateral_offset: "only ours: off the lane's centre line",
+    ours_lateral_offset: "only the box test: off the lane's centre line",
     /// Only the box test: in a junction, with at least one vehicle's front outside the junction.
-    ours_junction_edge: "only ours: one front outside the junction",
+    ours_junction_edge: "only the box test: one front outside the junction",
     /// Only the box test: the boxes do not overlap when each is 0.1 m smaller on every side.
-    ours_touching: "only ours: an overlap below about 0.2 m",
+    ours_touching: "only the box test: an overlap below about 0.2 m",
     /// Only the box test: SUMO's metres at one of the vehicles are not those of its lane's shape,
     /// so that a vehicle is longer or shorter there, or the net has no lanes over its junctions.
-    ours_metres: "only ours: where SUMO's metres are not those of the shape",
+    ours_metres: "only the box test: where SUMO's metres are not those of the shape",
     /// Only the box test: the vehicles are on one lane, on which SUMO sees a gap. The boxes overlap
     /// because the lane bends.
-    ours_bend: "only ours: in a bend, with a gap along the lane",
+    ours_bend: "only the box test: in a bend, with a gap along the lane",
     /// Only the box test: the vehicles are on lanes that SUMO does not compare, such as two roads on
     /// one strip without `bidi`, or lanes of a junction that its logic does not name as foes.
-    ours_not_compared: "only ours: on lanes that SUMO does not compare",
+    ours_not_compared: "only the box test: on lanes that SUMO does not compare",
     /// Only the box test: no corner of the outline that SUMO gives one vehicle lies within that of a
     /// vehicle that SUMO tests it against. SUMO's outlines of cars have no corners: a tenth of the
     /// length and a fifth of the width are cut off. Of two outlines, SUMO tests whether corners of the
     /// first lie within the second.
-    ours_outline: "only ours: corners that SUMO cuts off or does not test",
+    ours_outline: "only the box test: corners that SUMO cuts off or does not test",
     /// Only the box test: SUMO reports one of the two vehicles as colliding with a third.
-    ours_one_of_several: "only ours: one of several at once",
+    ours_one_of_several: "only the box test: one of several at once",
     /// Only the box test, for no known reason.
-    ours_other: "only ours: no known reason",
+    ours_other: "only the box test: no known reason",
     /// Only SUMO: a vehicle was already gone, or both had ended before, and the box test no longer
     /// tested the pair.
     sumo_ended: "only SUMO: with a vehicle that had ended",

@@ -69,9 +69,9 @@ impl Collisions {
         self.partners[slot]
     }
 
-    /// Tests the boxes of active vehicles against all other vehicles on the road. Background
-    /// vehicles, whose slots come after those of the `agents`, are not tested against each other.
-    /// `reported` returns SUMO's collisions of the world.
+    /// Tests the boxes of active vehicles against all other vehicles on the road. Two background
+    /// vehicles that both drive are not tested against each other; background vehicles have the
+    /// slots after the first `agents`. `reported` returns SUMO's collisions of the world.
     pub(super) fn find<'a, R: Iterator<Item = &'a Collision>>(
         &mut self,
         map: &Map,

@@ -65,7 +65,7 @@ pub(super) struct Effects {
     pub(super) road_users: Vec<RoadUser>,
     /// Times at the conflict points, `[N, road users]`.
     passes: Vec<Pass>,
-    /// Records of the vehicles that have left the road, and those of the pedestrians that have.
+    /// Records of the vehicles, and of the pedestrians, whose slots have become free.
     left: [Vec<RoadUser>; 2],
     /// Smallest time to collision with an agent so far \[s\].
     ttc: f64,
@@ -93,7 +93,7 @@ impl Effects {
         (self.ttc, self.pet) = (MAX_TIME_APART, MAX_TIME_APART);
     }
 
-    /// Stores the record of a vehicle or pedestrian (`walks`) that has left the road, so that its
+    /// Stores the record of a vehicle or pedestrian (`walks`) that is gone, so that its
     /// slot may be used again.
     pub(super) fn dismiss(&mut self, road_user: usize, walks: bool) {
         self.left[usize::from(walks)].push(std::mem::take(&mut self.road_users[road_user]));

@@ -31,9 +31,10 @@ pub struct DrivingRecord {
     /// (success − danger) · N / steps, in agents per step; danger is the share of agents that
     /// crashed or went off-road.
     pub efficiency: f64,
-    /// Distinct colliding pairs in SUMO's report.
+    /// Distinct colliding pairs with at least one agent in SUMO's report.
     pub sumo_collisions: u32,
-    /// Distinct colliding pairs of vehicles by our own box test, without pedestrians.
+    /// Distinct colliding pairs of vehicles with at least one agent by our own box test, without
+    /// pedestrians.
     pub own_collisions: u32,
     /// Distance that all agents drove together \[km\]; 0 in files of older versions.
     #[serde(default)]

@@ -16,11 +16,12 @@ const BORDER_MARGIN: f64 = 0.035;
 pub(super) struct Rewards {
     /// Each agent's own reward of the last step, `[N]`.
     pub(super) own: Vec<f64>,
-    /// Mean reward over agents in each step.
+    /// Sum of the agents' rewards in each step, divided by `active_agents`.
     pub(super) steps: Vec<f32>,
-    /// Sum of these means.
+    /// Sum of `steps`.
     pub(super) total: f64,
-    /// Number of agents of the episode.
+    /// Number by which the sum of a step's rewards is divided: the agents of the episode, or all
+    /// agent slots where agents come from route files.
     pub(super) active_agents: usize,
 }
 
@@ -37,8 +38,8 @@ impl Rewards {
         self.steps.clear();
     }
 
-    /// Rewards the active agents for step number `step`, and ends the episode of those that arrived
-    /// or failed: their entries of `terminated` become 1.
+    /// Rewards the active agents for step number `step`, and ends the trajectories of those that
+    /// arrived or failed: their entries of `terminated` become 1.
     pub(super) fn settle(
         &mut self,
         task: &Task,
@@ -100,8 +101,8 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
     Outcome { arrived, crashed, out_of_road }
 }
 
-/// Returns what is left of a reward for progress where the vehicle is `lateral` metres beside the
-/// centre line of a lane that is `width` metres wide. `weight` is [`Reward::lane_keeping`]. Negative
+/// Returns what is left of a reward for progress where the vehicle has the lateral offset `lateral`
+/// from the centre line of a lane that is `width` wide, both in metres. `weight` is [`Reward::lane_keeping`]. Negative
 /// rewards stay whole, so that no step earns more than without lane keeping.
 ///
 /// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`use_lateral_reward`), which reduces

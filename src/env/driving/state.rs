@@ -2,10 +2,11 @@
 //! specific state").
 //!
 //! The state is described from the viewpoint of one agent, without range limits: the agent's
-//! internal state, the vehicles on its lanes, and the vehicles near every conflict point with
-//! their speeds and last actions, and whether they are wrecks. Its size depends only on the
-//! scenario's settings and never on the number of vehicles, so that one checkpoint serves any
-//! number.
+//! internal state, the nearest vehicles on its lanes, and the nearest vehicles on the routes of its
+//! next conflicts (as many as the observation has streams, but at least one) with their speeds and
+//! last actions, and whether they are wrecks. In scenarios with encounters, the nearest encounters
+//! follow. Its size depends only on the scenario's settings and never on the number of vehicles, so
+//! that one checkpoint serves any number.
 
 use super::agents::{CLEARED, Status};
 use super::observation::encounter::Encounters;

@@ -239,8 +239,8 @@ impl Task {
         shares.iter().map(|(count, share)| count * share).sum::<f64>() / vehicles.max(1e-9)
     }
 
-    /// Returns the dimensions of an action with this steering and throttle, each -1 to 1, which keeps
-    /// the lane; further numbers follow.
+    /// Returns an action with this steering and throttle, each -1 to 1, that keeps the lane. Where
+    /// actions have one dimension, only the first number counts.
     pub(crate) fn action(&self, steer: f64, throttle: f64) -> [f64; 2] {
         if self.scenario.control.steering.is_some() { [steer, throttle] } else { [throttle, 0.0] }
     }

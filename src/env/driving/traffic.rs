@@ -1,5 +1,5 @@
-//! Vehicles in SUMO as an environment, which learners and evaluations can use without knowing
-//! either.
+//! The environment of vehicles in SUMO: a [`Task`] and where its worlds run, behind the interface
+//! [`Environment`], so that learners and evaluations need to know neither SUMO nor the task.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -21,7 +21,7 @@ use crate::sumo::net::{EdgeFunction, Net};
 
 use crate::env::record::EpisodeRecord;
 
-/// The vehicles of a task, and where SUMO moves them.
+/// The environment of a task: its vehicles, what drives them, and where their simulations run.
 #[derive(Debug, Clone)]
 pub struct Traffic {
     task: Arc<Task>,
@@ -33,24 +33,24 @@ pub struct Traffic {
 }
 
 impl Traffic {
-    /// Agents control their vehicles by actions.
+    /// Creates the environment of a task, in which actions drive the agents' vehicles.
     pub fn new(task: &Arc<Task>, hosting: Hosting) -> Self {
         Self { task: Arc::clone(task), hosting, driver: Driver::Agents, rule: None, scenario: None }
     }
 
-    /// Run folders contain this scenario, of which the task was made.
+    /// Returns the same environment, whose run folders get `scenario`, of which the task was made.
     #[must_use]
     pub fn described_by(self, scenario: &Scenario) -> Self {
         Self { scenario: Some(Arc::new(scenario.clone())), ..self }
     }
 
-    /// SUMO drives the agents' vehicles.
+    /// Returns the same environment, in which SUMO's own driver drives the agents' vehicles.
     #[must_use]
     pub fn driven_by_sumo(self) -> Self {
         Self { driver: Driver::Sumo, ..self }
     }
 
-    /// A rule drives the agents' vehicles.
+    /// Returns the same environment, in which the rule `rule` drives the agents' vehicles.
     #[must_use]
     pub fn driven_by(self, rule: Pursuit) -> Self {
         let driver = if rule.gives_way { Driver::Rules } else { Driver::Agents };
@@ -64,7 +64,7 @@ impl Traffic {
             driver: self.driver,
             seed: stream.seed,
             episodes: stream.episodes.clone(),
-            replay: stream.repeat_failed,
+            repeat_failed: stream.repeat_failed,
             hosting: if stream.beside { self.hosting.beside() } else { self.hosting },
         }
     }

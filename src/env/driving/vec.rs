@@ -22,8 +22,8 @@ use crate::sumo::{self, Command, Hosting, Renewal, Simulation};
 pub struct VecOptions {
     /// Number of worlds E.
     pub worlds: usize,
-    /// Distance between consecutive episodes of a world: E, or the number of worlds of all
-    /// processes where these are a part of them.
+    /// Distance between the numbers of consecutive episodes of one world: E, or, where several
+    /// processes divide the worlds of a run, the number of worlds of all processes.
     pub stride: u64,
     /// What controls the agents' vehicles.
     pub driver: Driver,
@@ -34,7 +34,7 @@ pub struct VecOptions {
     pub episodes: std::ops::Range<u64>,
     /// Chance that a world repeats one of its failed episodes, if it has any, instead of playing
     /// the next episode of the stream.
-    pub replay: f64,
+    pub repeat_failed: f64,
     /// Where the worlds run. It affects the speed only, not the results.
     pub hosting: Hosting,
 }
@@ -168,7 +168,7 @@ impl VecEnv {
                         options.stride,
                         options.episodes.end,
                     )
-                    .with_replay(options.replay)
+                    .with_repeat_failed(options.repeat_failed)
                 };
                 Ok(Host {
                     simulation,

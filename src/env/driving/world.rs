@@ -103,8 +103,8 @@ impl World {
     /// Returns the same world, which with this chance repeats one of its failed episodes, if it
     /// has any, instead of playing the next episode of the stream.
     #[must_use]
-    pub fn with_replay(self, chance: f64) -> Self {
-        Self { episode: self.episode.with_replay(chance), ..self }
+    pub fn with_repeat_failed(self, chance: f64) -> Self {
+        Self { episode: self.episode.with_repeat_failed(chance), ..self }
     }
 
     /// Returns the last frame.
@@ -314,7 +314,7 @@ impl World {
                 self.frame.begin(false);
                 self.episode.step += 1;
                 self.place(world, snapshot)?;
-                self.welcome();
+                self.begin_new_agents();
                 self.judge(world, snapshot);
                 for (reward, own) in self.frame.reward.iter_mut().zip(&self.rewards.own) {
                     *reward = *own as f32;
@@ -360,9 +360,9 @@ impl World {
         Ok(())
     }
 
-    /// Prepares for the agents that the step has brought onto the road: nothing of those that had
-    /// their slots before is left.
-    fn welcome(&mut self) {
+    /// Clears what previous agents left in the slots into which an agent came in this step: their
+    /// loitering, collisions and effects on background traffic.
+    fn begin_new_agents(&mut self) {
         let step = self.episode.step;
         for (i, slot) in self.traffic.slots[..self.task.agents].iter_mut().enumerate() {
             if slot.departed && slot.entered == step {

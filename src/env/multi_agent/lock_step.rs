@@ -209,7 +209,7 @@ impl<E: MultiAgentEnv> World<E> {
         }
         self.leave_out_absent();
         self.check_heard()?;
-        // An agent that acted and does not any more has come to an end, which somebody must name.
+        // The environment must say how the trajectory of an agent that stops acting has ended.
         for (i, acted) in before.iter().enumerate() {
             let frame = &self.frame;
             let (acted, acts, begins) = (*acted > 0.0, frame.active[i] > 0.0, frame.start[i] > 0.0);
@@ -279,7 +279,7 @@ impl<E: MultiAgentEnv> World<E> {
             driving: None,
             own: own.collect::<BTreeMap<_, _>>(),
             interrupted: false,
-            replayed: self.episode.is_replayed(),
+            repeated: self.episode.is_repeated(),
             step_rewards: std::mem::take(&mut self.step_rewards),
         });
         self.episode.end(success >= 1.0);

@@ -1,5 +1,5 @@
-//! The vehicles that are ahead of the agent or whose routes cross or merge with its own, soonest
-//! first.
+//! The vehicles that are ahead of the agent or whose routes cross or merge with its own, nearest
+//! first: in ascending order of the longer of both vehicles' distances to the conflict point.
 
 use super::group::{FeatureGroup, SPEED, View, Writer, moving};
 use crate::env::driving::agents::{CLEARED, Candidate, Slot, Status};
@@ -38,7 +38,7 @@ const FORESEEN: [Described; 4] = [
     ("soon_driving", "as `soon`, if the agent drives at least 6 m/s", 0.0, 1.0),
 ];
 
-/// Priority feature of an encounter; only in scenarios that show priorities.
+/// Priority feature of an encounter; only in scenarios whose agents observe priorities.
 const PRIORITY: [Described; 1] = [(
     "priority",
     "1 the agent has priority, -1 the other vehicle has it, 0 neither has come near",
@@ -61,7 +61,7 @@ pub const GROUP: FeatureGroup = FeatureGroup {
 };
 
 /// How many encounters are described, for how long ahead passings are foreseen \[s\] (0: not), and
-/// whether priorities are shown.
+/// whether priorities are observed.
 #[derive(Clone, Copy)]
 pub struct Encounters {
     pub count: usize,
@@ -138,8 +138,8 @@ impl Encounters {
     /// with the nearest encounter counts; foresight uses the one with the closest passing.
     pub fn write(self, view: &View<'_>, seen: impl Fn(usize) -> bool, w: &mut Writer<'_>) {
         let (own, slots, scales) = (view.own(), &view.traffic.slots, view.scales());
-        let mut soonest: [Option<(Encounter, usize)>; MOST] = [None; MOST];
-        let soonest = &mut soonest[..self.count];
+        let mut nearest_first: [Option<(Encounter, usize)>; MOST] = [None; MOST];
+        let nearest_first = &mut nearest_first[..self.count];
         for (j, other) in slots.iter().enumerate() {
             if j == view.slot || other.status == Status::Empty || !seen(j) {
                 continue;
@@ -151,17 +151,17 @@ impl Encounters {
             // `min_by` returns the first of equal elements, so the route with the smallest number.
             let first = met.min_by(|a, b| a.distance().total_cmp(&b.distance()));
             let Some(met) = first else { continue };
-            let sooner = |other: &Option<(Encounter, usize)>| {
+            let nearer = |other: &Option<(Encounter, usize)>| {
                 other.is_some_and(|(other, _)| other.distance() <= met.distance())
             };
-            let at = soonest.partition_point(sooner);
-            if at < soonest.len() {
-                soonest[at..].rotate_right(1);
-                soonest[at] = Some((met, j));
+            let at = nearest_first.partition_point(nearer);
+            if at < nearest_first.len() {
+                nearest_first[at..].rotate_right(1);
+                nearest_first[at] = Some((met, j));
             }
         }
         let mut written = 0;
-        for &(met, j) in soonest.iter().flatten() {
+        for &(met, j) in nearest_first.iter().flatten() {
             let other = &slots[j];
             let (sin, cos) = (other.pose.heading - own.pose.heading).sin_cos();
             w.put([

@@ -9,7 +9,7 @@ const FEATURES: [Described; 2] = [
     ("to_entry_far", "{far} m, -1 where it has entered", -1.0, 1.0),
 ];
 
-/// In scenarios that show priorities.
+/// In scenarios whose agents observe priorities.
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let shown = scenario.observation.priority_distance > 0.0;

@@ -16,7 +16,7 @@ const FEATURES: [Described; 3] = [
     ("free_blocked", "{near} m, to the present position of a vehicle without priority", 0.0, 1.0),
 ];
 
-/// In scenarios that show priorities.
+/// In scenarios whose agents observe priorities.
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let shown = scenario.observation.priority_distance > 0.0;

@@ -61,7 +61,7 @@ pub struct View<'a> {
     pub traffic: &'a Traffic,
     /// Knowledge of the vehicles' routes.
     pub knowledge: Knowledge<'a>,
-    /// Priorities of all slots' vehicles; empty in scenarios that do not show them.
+    /// Priorities of all slots' vehicles; empty where agents do not observe them.
     pub priorities: &'a [u32],
     /// Share of the horizon that is left, 1 at the start of an episode.
     pub time_left: f64,

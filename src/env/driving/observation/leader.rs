@@ -13,7 +13,7 @@ const FEATURES: [Described; 6] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-/// In scenarios that show conflicts.
+/// In scenarios whose agents observe conflicts.
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let on = scenario.observation.groups.conflict();

@@ -1,5 +1,5 @@
-//! Lidar: how far a vehicle sees in every direction, up to another vehicle's body or the end of the
-//! road (a line or a kerb).
+//! Lidar: how far a vehicle sees in every direction, up to another vehicle's body, the end of the
+//! road (a line or a kerb), or a polygon that blocks sight.
 
 use std::f64::consts::TAU;
 

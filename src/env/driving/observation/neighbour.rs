@@ -36,7 +36,7 @@ const SECTOR: f64 = 15.0 * PI / 180.0;
 /// Greatest number of neighbours.
 const MOST: usize = 16;
 
-/// In scenarios that show the nearest vehicles.
+/// In scenarios whose agents observe the nearest vehicles.
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let settings = &scenario.observation;

@@ -22,7 +22,7 @@ const VEHICLE: [Described; 5] = [
     ("present", "flag", 0.0, 1.0),
 ];
 
-/// In scenarios that show conflicts.
+/// In scenarios whose agents observe conflicts.
 pub const GROUP: FeatureGroup = FeatureGroup {
     describe: |scenario, features| {
         let settings = &scenario.observation;

@@ -49,7 +49,7 @@ impl World {
             driving: Some(driving),
             own: std::collections::BTreeMap::new(),
             interrupted,
-            replayed: self.episode.is_replayed(),
+            repeated: self.episode.is_repeated(),
             step_rewards: std::mem::take(&mut self.rewards.steps),
         }
     }
