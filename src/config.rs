@@ -34,7 +34,7 @@ pub use presets::{PRESETS, Preset};
 pub use profiles::{PROFILES, Profile};
 pub(crate) use scenario::flat_changes;
 pub use scenario::{ScenarioSettings, changes};
-pub use uses::{no_matter_of_evaluation, unread};
+pub use uses::{idle, no_matter_of_evaluation, unread, without_effect};
 
 use defaults::Setting;
 use std::path::PathBuf;
@@ -192,6 +192,12 @@ pub fn remove_untold(table: &mut Table, algorithm: &str) {
     let told = algo::capabilities(algorithm).map_or(&[][..], |method| method.settings);
     for group in algo::Settings::OWN.iter().filter(|group| !told.contains(group)) {
         table.remove(*group);
+    }
+    let unread = algo::capabilities(algorithm).map_or(&[][..], |method| method.unread);
+    for (group, key) in unread.iter().filter_map(|name| name.split_once('.')) {
+        if let Some(group) = table.get_mut(group).and_then(toml::Value::as_table_mut) {
+            group.remove(key);
+        }
     }
 }
 

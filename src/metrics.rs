@@ -7,10 +7,10 @@
 
 mod metric;
 mod own;
+mod reference;
 mod result;
 
 use std::collections::BTreeMap;
-use std::fmt::Write as _;
 
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -25,6 +25,7 @@ use metric::{
 };
 pub use metric::{Better, Metric, Scale, Shown};
 pub use own::{OwnEstimate, of_environments, own};
+pub use reference::reference;
 pub use result::{DETERMINED, EvaluationResult, KmPerCrash, Knowledge, Probe};
 
 /// Number of steps of the window over which the paper sums rewards.
@@ -113,9 +114,9 @@ metrics! {
         success: Estimate = |e| e.success(),
             "success", "success (%)", PERCENT, Higher, Everywhere,
             "Share of agents that reached their goal; of vehicles, of those that arrived.";
-        reward: Estimate = |e| e.mean(|r| r.reward),
+        reward: Estimate = |e| e.reward(),
             "reward", "reward per agent and episode", NUMBER, Higher, InTables,
-            "Reward per agent and episode.";
+            "Reward per agent, mean over the episodes in which an agent was on the road.";
         window_reward: Estimate = |e| Estimate::t(e.windows).unwrap_or_default(),
             "window reward (throughput)", "reward per agent in 1000 steps",
             NUMBER, Higher, Everywhere,
@@ -134,6 +135,10 @@ metrics! {
         /// Metrics of vehicles; `None` in environments without them.
         #[serde(flatten, skip_serializing_if = "Option::is_none", deserialize_with = "of_vehicles")]
         pub driving: Option<DrivingMetrics>,
+        /// Number of episodes in which an agent arrived, failed or was late, if there are others.
+        /// Shares of agents are over these episodes.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub counted: Option<u64>,
         /// Metrics that the environment defines by itself, by name.
         #[serde(skip_serializing_if = "BTreeMap::is_empty")]
         pub own: BTreeMap<String, OwnEstimate>,
@@ -283,10 +288,10 @@ metrics! {
             "pedestrian TTC < 1.5 s", "pedestrians (%)", PERCENT, Lower, InEvaluations,
             "Share of the pedestrians with a time to collision with an agent below 1.5 s, or \
              that were hit.";
-        ttc: Option<Estimate> = |o| mean(o, EITHER, |o| o.ttc),
+        ttc: Option<Estimate> = |o| known(o, |o| o.ttc),
             "smallest TTC", "time to collision (s)", APART, Higher, InEvaluations,
             "Smallest time to collision of an episode, at most 5 s.";
-        pet: Option<Estimate> = |o| mean(o, EITHER, |o| o.pet),
+        pet: Option<Estimate> = |o| known(o, |o| o.pet),
             "smallest PET", "post-encroachment time (s)", APART, Higher, InFigures,
             "Smallest post-encroachment time of an episode, at most 5 s.";
     }
@@ -338,6 +343,14 @@ impl Episodes<'_> {
         Estimate::rate(&known).unwrap_or_default()
     }
 
+    fn reward(&self) -> Estimate {
+        let somebody = |r: &EpisodeRecord| {
+            let flow = r.driving.as_ref().and_then(|driving| driving.flow);
+            flow.is_none_or(|flow| flow.departed > 0)
+        };
+        mean(self.records, somebody, |r| r.reward).unwrap_or_default()
+    }
+
     fn mean(&self, of: fn(&EpisodeRecord) -> f64) -> Estimate {
         mean(self.records, |_| true, of).unwrap_or_default()
     }
@@ -346,7 +359,12 @@ impl Episodes<'_> {
 type Chosen = fn(&BackgroundMetrics) -> bool;
 const DRIVEN: Chosen = |o| o.vehicles > 0;
 const WALKED: Chosen = |o| o.pedestrians > 0;
-const EITHER: Chosen = |o| o.vehicles + o.pedestrians > 0;
+
+/// Returns the mean over the episodes with agents and others on the road.
+fn known(all: &[BackgroundMetrics], of: fn(&BackgroundMetrics) -> Option<f64>) -> Option<Estimate> {
+    let met = |o: &&BackgroundMetrics| o.vehicles + o.pedestrians > 0;
+    Estimate::t(&all.iter().filter(met).filter_map(of).collect::<Vec<_>>())
+}
 
 fn column<R>(all: &[R], chosen: fn(&R) -> bool, of: fn(&R) -> f64) -> Vec<f64> {
     all.iter().filter(|row| chosen(row)).map(of).collect()
@@ -373,9 +391,11 @@ impl Metrics {
         if records.is_empty() || windows.is_empty() {
             return None;
         }
+        let counted = records.iter().filter(|record| record.success().is_some()).count();
         let drives: Vec<&DrivingRecord> =
             records.iter().filter_map(|record| record.driving.as_ref()).collect();
         Some(Self {
+            counted: (counted < records.len()).then_some(counted as u64),
             driving: (!drives.is_empty()).then(|| DrivingMetrics::of(drives)),
             own: own::summary(own, records),
             reconstruction: reconstruction.to_vec(),
@@ -415,40 +435,6 @@ impl DrivingMetrics {
             others: (!background.is_empty()).then(|| BackgroundSummary::measure(&background)),
             ..Self::measure(&DrivingRecords(drives))
         }
-    }
-}
-
-/// Returns the reference of all metrics as Markdown: `docs/reference/metrics.md`.
-pub fn reference() -> String {
-    let mut text = String::from(
-        "# Metrics\n\nWhat `iwol evaluate` measures, each as a mean with its 95 % interval. The key is that of the \
-         JSON output, in which shares go from 0 to 1. Learning curves and all reports show the metrics that are \
-         shown everywhere; reports show the metrics of reports if results contain them. Shares of agents are over \
-         the episodes in which an agent arrived, failed or was late; where agents come from route files, there \
-         may be others.\n\n\
-         | metric | key | better | shown | meaning |\n|---|---|---|---|---|\n",
-    );
-    for metric in all() {
-        let better = better(metric.better);
-        let shown = match metric.shown {
-            Shown::Everywhere => "everywhere",
-            Shown::InFigures => "tables and figures of reports",
-            Shown::InTables => "tables of reports",
-            Shown::InEvaluations => "evaluations",
-        };
-        let (heading, id) = (metric.heading(), metric.id);
-        let meaning = metric.explanation;
-        let _ = writeln!(text, "| {heading} | `{id}` | {better} | {shown} | {meaning} |");
-    }
-    text + &own::reference()
-}
-
-/// Returns how the reference says which values are better.
-fn better(better: Better) -> &'static str {
-    match better {
-        Better::Higher => "higher",
-        Better::Lower => "lower",
-        Better::Neither => "–",
     }
 }
 

@@ -51,6 +51,7 @@ use super::batch::{Batch, EDGES, Shard};
 use super::critic::ValueFunction;
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
+use super::iwol::Iwol;
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, ParameterBuilder, ParameterGroup};
 use super::policy::PolicyHead;
@@ -130,6 +131,7 @@ impl Networks for CommFormer {
     const NAME: &'static str = "commformer";
     const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const SETTINGS: &'static [&'static str] = &["commformer", "transformer", "iwol"];
+    const UNREAD: &'static [&'static str] = Iwol::ALL_BUT_DECODED;
     const GRAPH_LASTS: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["value.", "world."];
     const PER_AGENT: Option<&'static str> = Some("graph/edges");

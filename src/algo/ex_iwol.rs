@@ -50,6 +50,7 @@ impl Networks for ExIwol {
     const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const LATENT: &'static [&'static str] = &["world"];
     const SETTINGS: &'static [&'static str] = &["iwol"];
+    const UNREAD: &'static [&'static str] = &["iwol.latent", "iwol.lambda_interaction"];
     const MESSAGES: bool = true;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 

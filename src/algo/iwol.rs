@@ -49,3 +49,16 @@ pub struct Iwol {
     /// nothing about what the policy reads.
     pub privileged_value: bool,
 }
+
+impl Iwol {
+    /// What methods do not read that have a world decoder, and no other part of IWoL.
+    pub(super) const ALL_BUT_DECODED: &'static [&'static str] = &[
+        "iwol.latent",
+        "iwol.message",
+        "iwol.rounds",
+        "iwol.lambda_world",
+        "iwol.lambda_interaction",
+        "iwol.graph_bias",
+        "iwol.privileged_value",
+    ];
+}

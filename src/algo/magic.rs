@@ -39,6 +39,7 @@ use super::critic::{PrivilegedCritic, ValueFunction, value_loss};
 use super::decision::{ActMode, Decision, Observation, Reconstruction};
 use super::decoder::WorldDecoder;
 use super::encoder::Encoder;
+use super::iwol::Iwol;
 use super::networks::{HEADS, Loss, Networks};
 use super::parameters::{ACTOR, CRITIC, ParameterBuilder};
 use super::policy::{PolicyHead, PolicyTerms, Ratio};
@@ -134,6 +135,7 @@ impl Networks for Magic {
     const SCOPE: CommunicationScope = CommunicationScope::InRange;
     const MESSAGES: bool = true;
     const SETTINGS: &'static [&'static str] = &["magic", "iwol"];
+    const UNREAD: &'static [&'static str] = Iwol::ALL_BUT_DECODED;
     const TRAINING_ONLY: &'static [&'static str] = &["world."];
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {

@@ -161,6 +161,7 @@ impl Method {
             on_policy: true,
             latent: N::LATENT,
             settings: N::SETTINGS,
+            unread: N::UNREAD,
         };
         Self {
             name: N::NAME,
@@ -203,6 +204,8 @@ pub struct Capabilities {
     /// Groups of settings that the method reads, besides those common to all methods. Settings in
     /// other groups have no effect on it.
     pub settings: &'static [&'static str],
+    /// Single settings of these and of the common groups that have no effect on the method either.
+    pub unread: &'static [&'static str],
 }
 
 /// The agents, besides itself, whose observations can change an agent's action at run time.

@@ -33,6 +33,8 @@ pub trait Networks: Sized + Send {
     const LATENT: &'static [&'static str] = &[];
     /// Groups of settings that the networks read, besides those common to all methods.
     const SETTINGS: &'static [&'static str] = &[];
+    /// Settings of these groups that the networks do not read.
+    const UNREAD: &'static [&'static str] = &[];
     /// Whether a world keeps the noise of its graph for a whole rollout, so that the graph is the
     /// same at each decision.
     const GRAPH_LASTS: bool = false;

@@ -143,7 +143,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
     }
-    if let Some(path) = args.out.as_ref().filter(|_| args.out == args.record) {
+    if let (Some(path), Some(record)) = (&args.out, &args.record)
+        && record::is_same_file(path, record)
+    {
         bail!("--out and --record are both {}; choose two different files", path.display());
     }
     let stop = super::stop_flag()?;

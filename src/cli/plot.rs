@@ -10,6 +10,7 @@ use crate::config;
 use crate::curves::{self, Along, Curve, Line, curve, mean_curve};
 use crate::metrics::{self, EvaluationResult, SUCCESS, Shown};
 use crate::plot::{Format, Panel, Series, figure};
+use crate::record;
 use crate::train::RunDir;
 
 use super::Verdict;
@@ -109,8 +110,19 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 /// Reads runs and sorts them into groups with labels that differ.
 fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
     let mut groups: Vec<Group> = Vec::new();
-    for run in runs.iter().collect::<std::collections::BTreeSet<_>>() {
-        let (label, settings) = identity(run);
+    let mut known: Vec<(toml::Table, Option<toml::Value>, &PathBuf)> = Vec::new();
+    let mut runs: Vec<&PathBuf> = runs.iter().collect();
+    runs.sort();
+    for run in runs {
+        if known.iter().any(|(.., other)| record::is_same_file(run, other)) {
+            continue;
+        }
+        let (label, mut settings, seed) = identity(run);
+        // Two runs of one seed, such as those of two versions of the program, are no sample of seeds.
+        if known.iter().any(|one| one.0 == settings && one.1 == seed) {
+            settings.insert("folder".to_owned(), run.display().to_string().into());
+        }
+        known.push((settings.clone(), seed, run));
         let lines = read(run, along)?;
         match groups.iter_mut().find(|group| group.settings == settings) {
             Some(group) => group.runs.push(lines),
@@ -138,17 +150,18 @@ fn read(run: &Path, along: Along) -> anyhow::Result<Vec<Line>> {
 }
 
 /// Returns the label of a run (the algorithm, and the observation if it is not `conflict`) and the
-/// settings that determine its training, without the seed.
-fn identity(run: &Path) -> (String, toml::Table) {
+/// settings that determine its training, without the seed; and the seed.
+fn identity(run: &Path) -> (String, toml::Table, Option<toml::Value>) {
     let text = std::fs::read_to_string(RunDir::new(run).config()).unwrap_or_default();
     let mut settings: toml::Table = toml::from_str(&text).unwrap_or_default();
     let Some(algorithm) =
         settings.get("algorithm").and_then(toml::Value::as_str).map(str::to_owned)
     else {
         settings.insert("folder".to_owned(), run.display().to_string().into());
-        return (run.display().to_string(), settings);
+        return (run.display().to_string(), settings, None);
     };
-    for key in ["seed", "device", "simulation"] {
+    let seed = settings.remove("seed");
+    for key in ["device", "simulation"] {
         settings.remove(key);
     }
     // Settings that the algorithm does not read make no difference.
@@ -171,7 +184,7 @@ fn identity(run: &Path) -> (String, toml::Table) {
         Some(groups) if groups != "conflict" => format!("{algorithm}, {groups}"),
         _ => algorithm,
     };
-    (label, settings)
+    (label, settings, seed)
 }
 
 /// Replaces the path in a setting by the part of it that `keep` returns.
@@ -216,29 +229,29 @@ mod tests {
             std::fs::write(run.join("config.toml"), text).expect("written");
             identity(&run)
         };
-        let (label, first) = run(
+        let (label, first, seed) = run(
             0,
             "algorithm = \"mappo\"\nseed = 0\ninit_from = \"x/m/seed_0\"\n[scenario]\nfile = \"a/cross.xml\"",
         );
-        assert_eq!(label, "mappo");
-        let (_, second) = run(
+        assert_eq!((label.as_str(), seed), ("mappo", Some(0.into())));
+        let (_, second, _) = run(
             1,
             "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"b/cross.xml\"",
         );
         assert_eq!(first, second);
-        let (_, task) = run(
+        let (_, task, _) = run(
             2,
             "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"a/slow.xml\"",
         );
         assert_ne!(first, task);
-        let (_, begun) = run(
+        let (_, begun, _) = run(
             3,
             "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/n/seed_1\"\n[scenario]\nfile = \"a/cross.xml\"",
         );
         assert_ne!(first, begun);
         // MAPPO does not read the settings of MAGIC.
-        let (_, without) = run(4, "algorithm = \"mappo\"\nseed = 0\n[train]\nenvs = 4");
-        let (_, with) = run(
+        let (_, without, _) = run(4, "algorithm = \"mappo\"\nseed = 0\n[train]\nenvs = 4");
+        let (_, with, _) = run(
             5,
             "algorithm = \"mappo\"\nseed = 1\n[train]\nenvs = 4\n[magic]\nlambda_world = 0.5",
         );

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::bail;
 
-use crate::record::write_atomic;
+use crate::record::{is_same_file, write_atomic};
 use crate::replay::Recording;
 
 use super::Verdict;
@@ -28,15 +28,12 @@ pub(super) struct Args {
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let recording = Recording::load(&args.recording)?;
-    let same = |a: &Path, b: &Path| {
-        a == b || matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
-    };
     let outputs: Vec<&Path> = [&args.out, &args.svg].into_iter().flatten().map(|p| &**p).collect();
-    if let Some(path) = outputs.iter().find(|path| same(path, &args.recording)) {
+    if let Some(path) = outputs.iter().find(|path| is_same_file(path, &args.recording)) {
         bail!("`{}` is the recording itself; choose another file to write", path.display());
     }
     if let [out, svg] = outputs[..]
-        && same(out, svg)
+        && is_same_file(out, svg)
     {
         bail!("--out and --svg are both `{}`; choose two different files", out.display());
     }

@@ -126,6 +126,9 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     for line in config::unread(&given.set, &config.algorithm).into_iter().filter(|_| first) {
         say!("{line}");
     }
+    for line in config::without_effect(&given.set, place.scenario()).into_iter().filter(|_| first) {
+        say!("{line}");
+    }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs")
             .join(place.name())

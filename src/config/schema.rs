@@ -94,7 +94,7 @@ fn of_scenario() -> String {
     format!(
         "\n## `scenario`\n\n\
          Numbers, words and flags of the scenario's file, by the names of its elements and attributes, e.g. \
-         `--set scenario.observation.neighbours=2`. A value replaces the one in the file; `inf` stands for a limit that the file does not have. \
+         `--set scenario.observation.detectionRange=50`. A value replaces the one in the file; `inf` stands for a limit that the file does not have. \
          Lists, names and files can be changed only in the scenario's file.\n\n\
          | group | settings | meaning and allowed values |\n|---|---|---|\n{}",
         rows.collect::<String>()

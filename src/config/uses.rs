@@ -1,8 +1,9 @@
 //! Which settings can be used to train, to evaluate a policy, and to start from a policy.
 
-use super::Config;
+use super::{Config, full_name};
 use crate::algo;
 use crate::env::NamedEnvironment;
+use crate::scenario::{self, Scenario};
 
 /// Returns why a `--set` has no effect in an evaluation, if its setting comes from elsewhere there.
 pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
@@ -11,6 +12,7 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
         "seed" => "--seed determines the episodes",
         "algorithm" => "the checkpoint determines the algorithm",
         "device" => "--device determines the device",
+        "preset" | "profile" => "presets and profiles are for trainings",
         key if ["init_from", "steps"].contains(&key)
             || ["train.", "ppo.", "exploration."].iter().any(|group| key.starts_with(group)) =>
         {
@@ -32,11 +34,32 @@ pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
             group if algo::Settings::OWN.contains(&group) && !method.settings.contains(&group) => {
                 "does not read it"
             }
+            _ if method.unread.contains(&&*full_name(key)) => "does not read it",
             _ => return None,
         };
         Some(format!("--set {set} has no effect: {algorithm} {why}"))
     };
     sets.iter().filter_map(reason).collect()
+}
+
+/// Returns which of the settings of `--set` other values of the scenario make ineffective, each with
+/// the reason.
+pub fn without_effect(sets: &[String], scenario: Option<&Scenario>) -> Vec<String> {
+    let Some(scenario) = scenario else { return Vec::new() };
+    let reason =
+        |set: &String| Some(format!("--set {set} has no effect: {}", idle(set, scenario)?));
+    sets.iter().filter_map(reason).collect()
+}
+
+/// Returns why a setting `key` or `key=value` has no effect in a scenario, if it has none.
+pub fn idle(set: &str, scenario: &Scenario) -> Option<&'static str> {
+    let key = set.split_once('=').map_or(set, |(key, _)| key).trim().strip_prefix("scenario.")?;
+    let neighbours = ("observation", "neighbours", "groups is `conflict`");
+    let more = (!scenario.observation.groups.nearest()).then_some(neighbours);
+    let mut all = scenario::without_effect(scenario).chain(more);
+    all.find_map(|(element, attribute, why)| {
+        (key.split_once('.') == Some((element, attribute))).then_some(why)
+    })
 }
 
 impl Config {
@@ -97,10 +120,19 @@ mod tests {
             ["--set commformer.sparsity=0.9 has no effect: mappo does not read it"]
         );
         for (algorithm, set) in [
+            ("ex-iwol", "iwol.latent=8"),
+            ("magic", "iwol.rounds=2"),
+            ("maddpg", "ppo.epochs=2"),
+            ("maddpg-iwol", " iwol.decoded = 1"),
+        ] {
+            assert!(told(algorithm, set)[0].contains("does not read it"), "{algorithm} {set}");
+        }
+        for (algorithm, set) in [
             ("ex-iwol", "channel.loss=1"),
             ("magic", "iwol.decoded=1"),
             ("mappo", "network.hidden=64"),
             ("maddpg", "maddpg.n_step=3"),
+            ("magic", "ppo.epochs=2"),
         ] {
             assert!(told(algorithm, set).is_empty(), "{algorithm} {set}");
         }

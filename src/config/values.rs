@@ -118,9 +118,10 @@ impl Values {
             }
             _ => value,
         };
-        let is_quoted = value
-            .as_str()
-            .is_some_and(|text| text.parse::<f64>().is_ok() || text.parse::<bool>().is_ok());
+        let plain = value.as_str().and_then(|text| {
+            let number = text.parse::<f64>().ok().map(|number| number.to_string());
+            number.or_else(|| Some(text.parse::<bool>().ok()?.to_string()))
+        });
         self.set(keys, value, Origin::Given(place.to_owned()));
         let config: Config = match Value::Table(self.table.clone()).try_into() {
             Ok(config) => config,
@@ -129,10 +130,11 @@ impl Values {
                 // The parser's words for a value of another type are those of Rust's types.
                 let other_type = error.message().starts_with("invalid ");
                 let allowed = other_type.then(|| super::schema::allowed(keys)).flatten();
-                let unquoted = if is_quoted { "; write it without quotes" } else { "" };
+                let plain =
+                    plain.map_or_else(String::new, |plain| format!("; write it as {plain}"));
                 return Err(bad(allowed.map_or_else(
                     || with_nearest(error.message()),
-                    |allowed| format!("allowed: {allowed}{unquoted}"),
+                    |allowed| format!("allowed: {allowed}{plain}"),
                 )));
             }
         };

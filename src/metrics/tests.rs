@@ -27,7 +27,7 @@ fn intervals_contain_only_possible_numbers() {
     let effects = |delay: f64, ttc: f64| BackgroundMetrics {
         vehicles: 1,
         delay,
-        ttc,
+        ttc: Some(ttc),
         ..BackgroundMetrics::default()
     };
     let records: Vec<EpisodeRecord> = [effects(0.0, 5.0), effects(0.5, 5.0), effects(0.0, 4.0)]
@@ -65,6 +65,7 @@ fn shares_of_agents_are_over_the_episodes_in_which_agents_count() {
     let mixed = of(&[episode(false, 0.5), episode(true, 0.0), episode(false, 1.0)]);
     assert_eq!(mixed.success, decided.success);
     assert_eq!(mixed.driving().efficiency, decided.driving().efficiency);
+    assert_eq!((mixed.counted, decided.counted), (Some(2), None));
     let none = of(&[episode(true, 0.0)]);
     let again: Metrics = serde_json::from_str(&serde_json::to_string(&none).unwrap()).unwrap();
     for metrics in [none, again] {
@@ -98,4 +99,26 @@ fn the_metrics_reference_is_up_to_date() {
     }
     let page = std::fs::read_to_string(&path).unwrap_or_default();
     assert!(page == reference(), "out of date: run it again with IWOL_UPDATE=1");
+}
+
+/// An episode without an agent says nothing about rewards, nor about how near agents came to others.
+#[test]
+fn episodes_without_an_agent_have_no_reward_and_no_distance() {
+    let episode = |departed: u32, reward: f64| {
+        let others = BackgroundMetrics {
+            vehicles: 3,
+            ttc: (departed > 0).then_some(2.0),
+            pet: (departed > 0).then_some(3.0),
+            ..BackgroundMetrics::default()
+        };
+        let flow = FlowMetrics { hours: 0.1, departed, ..FlowMetrics::default() };
+        let driving =
+            DrivingRecord { flow: Some(flow), others: Some(others), ..DrivingRecord::default() };
+        EpisodeRecord { reward, driving: Some(driving), ..EpisodeRecord::default() }
+    };
+    let records = [episode(1, 90.0), episode(0, 0.0), episode(2, 110.0)];
+    let metrics = Metrics::of(&[], &records, &[0.0], &[], &[]).unwrap();
+    let others = metrics.driving().others.as_ref().unwrap();
+    assert_eq!(metrics.reward.mean, 100.0);
+    assert_eq!((others.ttc.unwrap().mean, others.pet.unwrap().mean), (2.0, 3.0));
 }

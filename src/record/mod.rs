@@ -97,6 +97,18 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
     if is_stream(path) { Ok(()) } else { temporary_beside(path).map(drop) }
 }
 
+/// Returns whether two paths are those of one file, which need not exist.
+pub fn is_same_file(a: &Path, b: &Path) -> bool {
+    let real = |path: &Path| {
+        let whole = path.canonicalize().ok();
+        whole.or_else(|| {
+            let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+            Some(folder.unwrap_or(Path::new(".")).canonicalize().ok()?.join(path.file_name()?))
+        })
+    };
+    a == b || real(a).is_some_and(|a| real(b) == Some(a))
+}
+
 /// Returns whether `path` exists and is neither a file nor a folder.
 fn is_stream(path: &Path) -> bool {
     path.metadata().is_ok_and(|found| !found.is_file() && !found.is_dir())
@@ -181,6 +193,17 @@ mod tests {
             .unwrap()
             .map(|e| e.unwrap().file_name().into_string().unwrap())
             .collect()
+    }
+
+    #[test]
+    fn two_spellings_of_a_path_are_one_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        std::fs::create_dir(path("a")).unwrap();
+        assert!(super::is_same_file(&path("x.json"), &path("a/../x.json")), "it does not exist");
+        assert!(super::is_same_file(&path("x.json"), &path("./x.json")));
+        assert!(!super::is_same_file(&path("x.json"), &path("a/x.json")));
+        assert!(super::is_same_file(Path::new("x.json"), Path::new("./x.json")));
     }
 
     #[test]

@@ -125,7 +125,8 @@ impl Row<'_> {
             }
             Unit::Together => {
                 let of = |found: &EvaluationResult| {
-                    Some((found.episodes, metric.estimate(&found.metrics)?.mean))
+                    let counted = found.metrics.counted.unwrap_or(found.episodes);
+                    Some((counted, metric.estimate(&found.metrics)?.mean))
                 };
                 let runs: Vec<(u64, f64)> = self.finished().filter_map(of).collect();
                 let episodes: u64 = runs.iter().map(|run| run.0).sum();
@@ -183,7 +184,13 @@ pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Bloc
             return Err(Error::Axis { evaluate: evaluate.name.clone(), what, key: key.clone() });
         }
     }
+    // Places are in the order of the grid.
+    let axis = x.as_ref().and_then(|x| evaluate.grid.get(x).or_else(|| sweep.grid.get(x)));
+    let axis = axis.and_then(Value::as_array).into_iter().flatten().map(plain);
     let mut categories: Vec<String> = Vec::new();
+    for place in axis {
+        let _ = position(&mut categories, place);
+    }
     // Rows of each line, by place.
     let mut series: Vec<(Line<'a>, BTreeMap<usize, Row<'a>>)> = Vec::new();
     for cell in sweep.cells.iter().filter(|cell| evaluate.applies(cell)) {
@@ -230,9 +237,11 @@ pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Bloc
             series[line].1.entry(category).or_default().runs.push((cell, found));
         }
     }
-    let count = categories.len();
+    let used = |k: &usize| series.iter().any(|(_, rows)| rows.contains_key(k));
+    let used: Vec<usize> = (0..categories.len()).filter(used).collect();
+    let categories = used.iter().map(|&k| categories[k].clone()).collect();
     let line = |(line, mut rows): (Line<'a>, BTreeMap<usize, Row<'a>>)| Line {
-        rows: (0..count).map(|k| rows.remove(&k).unwrap_or_default()).collect(),
+        rows: used.iter().map(|k| rows.remove(k).unwrap_or_default()).collect(),
         ..line
     };
     Ok(Block { evaluate, x, categories, series: series.into_iter().map(line).collect() })

@@ -232,8 +232,8 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
 /// Adds aggregates over all places, and the probability that one line is better than another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = SUCCESS;
-    let lines: Vec<_> =
-        block.series.iter().filter(|line| line.rows.iter().all(Row::is_complete)).collect();
+    let whole = |row: &Row<'_>| row.is_complete() && row.values(success).len() == row.runs.len();
+    let lines: Vec<_> = block.series.iter().filter(|line| line.rows.iter().all(whole)).collect();
     if lines.is_empty() {
         return;
     }
@@ -241,7 +241,9 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     document.heading(3, "Aggregated success");
     if missing > 0 {
         let left_out = counted(missing, "line");
-        document.text(format!("Left out, because not all runs are finished: {left_out}."));
+        document.text(format!(
+            "Left out, because a run or a value of the horizontal axis has no result: {left_out}."
+        ));
     }
     document.text(
         "Aggregates over all runs and all values of the horizontal axis, as in rliable: interquartile mean (IQM), median and \
@@ -301,8 +303,11 @@ pub(super) fn training(document: &mut Document, sweep: &Sweep, blocks: &[Block<'
     let mut groups: Vec<(String, Group)> = Vec::new();
     for cell in &sweep.cells {
         let Some(trained) = cell.trained() else { continue };
-        let name =
-            cell.id.rsplit_once("/seed_").map_or(cell.id.as_str(), |(name, _)| name).to_owned();
+        let name = match cell.id.rsplit_once("/seed_") {
+            Some((name, _)) => name.to_owned(),
+            None if cell.id.starts_with("seed_") => cell.config.algorithm.clone(),
+            None => cell.id.clone(),
+        };
         let place = groups.iter().position(|group| group.0 == name).unwrap_or_else(|| {
             groups.push((name, Group::default()));
             groups.len() - 1

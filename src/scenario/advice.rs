@@ -2,9 +2,12 @@
 //! per rule.
 
 mod driver;
+mod idle;
 mod signals;
 
 use std::collections::BTreeSet;
+
+pub use idle::without_effect;
 
 use super::author::{State, state};
 use super::check::{Map, net_nodes};
@@ -388,38 +391,20 @@ impl Adviser<'_, '_, '_> {
 
     /// Warns of attributes that other values of the scenario make ineffective.
     fn without_effect(&self, maps: &[(&Net, &Map)], findings: &mut Vec<Finding>) {
-        let (s, o) = (self.scenario, &self.scenario.observation);
         let signals = |(_, map): &(&Net, &Map)| signals::on_routes(map).next().is_some();
         let free = !maps.is_empty() && !maps.iter().any(signals);
-        let follows = s.control.steering.is_none();
-        let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
-        let all = s.everybody_is_nearest();
-        let rules = [
-            ("communication", "nearest", all, "there are never more other agents"),
-            ("route", "offLane", follows, "vehicles do not steer"),
-            ("reward", "laneKeeping", follows, "vehicles do not steer"),
-            ("termination", "border", follows, "vehicles do not steer"),
-            ("termination", "brokenLines", follows, "vehicles do not steer"),
-            ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
-            ("observation", "foresight", o.encounters == 0, "encounters is 0"),
+        let ruled = [
             ("observation", "signals", free, "no signal rules a route"),
             ("reward", "redLight", free, "no signal rules a route"),
-            ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
-            ("jitter", "longitudinal", placeless, "there are no spawn places"),
-            ("jitter", "lateral", placeless, "there are no spawn places"),
-            ("traffic", "type", placeless, "there are no spawn places"),
-            ("traffic", "type", !placeless && s.traffic.penetration >= 1.0, "penetration is 1"),
-            ("traffic", "capacity", s.traffic.files.is_empty(), "there are no files"),
-            ("traffic", "begin", s.traffic.files.is_empty(), "there are no files"),
-            ("traffic", "strict", s.traffic.files.is_empty(), "there are no files"),
         ];
-        for (element, key, idle, why) in rules {
+        let ruled = ruled.into_iter().filter(|rule| rule.2).map(|(e, key, _, why)| (e, key, why));
+        for (element, key, why) in without_effect(self.scenario).chain(ruled) {
             let known = describe().all().into_iter().find(|known| known.name == element);
             let default = known.and_then(|known| known.attribute(key)?.default.clone());
             let given = |node: &roxmltree::Node| {
                 node.attribute(key).is_some_and(|value| Some(value) != default.as_deref())
             };
-            if let Some(node) = self.reader.all(element).find(given).filter(|_| idle) {
+            if let Some(node) = self.reader.all(element).find(given) {
                 let message = format!("{key} of <{element}> has no effect, because {why}");
                 let hint = "delete the attribute, or change the other value";
                 let place = self.reader.place(node, key);

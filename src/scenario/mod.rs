@@ -23,6 +23,7 @@ mod schema;
 mod verify;
 mod write;
 
+pub use advice::without_effect;
 pub use demand::{
     Demand, DemandPlan, DemandRoute, Finish, Halt, Itinerary, Laid, LeftOut, PlannedDeparture,
     PlannedSource, RouteEdge, Source, Spacing, Start, Terminal, VehicleKind, route_files,

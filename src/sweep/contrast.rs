@@ -7,8 +7,8 @@ use super::conditions::{holds, listed};
 use super::{Cell, Evaluate};
 use crate::metrics::{self, Metric, Shown};
 
-/// A comparison of trained runs: how much better those of `plus` are than those of `minus`. With
-/// two conditions each, how much the first difference exceeds the second. The report corrects the
+/// A comparison of trained runs: by how much the metric of those of `plus` exceeds that of those of
+/// `minus`. With two conditions each, by how much the first difference exceeds the second. The report corrects the
 /// p-values of all comparisons of a sweep together (Holm).
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -120,6 +120,16 @@ impl Contrast {
         evaluations: &[Evaluate],
     ) -> Result<(), String> {
         let evaluate = self.evaluation(evaluations);
+        let ids = |when| self.cells(cells, when, evaluate).map(|cell| &cell.id).collect::<Vec<_>>();
+        if let Some((plus, _)) =
+            self.plus.iter().zip(&self.minus).find(|(plus, minus)| ids(plus) == ids(minus))
+        {
+            return Err(format!(
+                "[[contrast]] `{}`: plus and minus both select the cells with {}; choose two groups",
+                self.title,
+                listed(plus)
+            ));
+        }
         for (_, when) in self.groups() {
             let chosen: Vec<&Cell> = self.cells(cells, when, evaluate).collect();
             let Some(first) = chosen.first() else {

@@ -8,9 +8,10 @@ use toml::{Table, Value};
 
 use super::cell::check_order;
 use super::conditions::{self, holds, listed};
+use super::distinct::check_distinct;
 use super::{Cell, Contrast, Error, Evaluate, Reference, base, combinations, label, value_of};
 use crate::config::{
-    Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation, plain,
+    self, Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation, plain,
 };
 use crate::metrics::{self, Shown};
 
@@ -21,9 +22,9 @@ pub(super) struct File {
     /// The sweep file that this file is based on.
     #[serde(default)]
     base: Option<String>,
-    /// Whether the file has a base, which `base` no longer says once both are merged.
+    /// Whether the rules, the skips and the evaluations are those of the base.
     #[serde(skip)]
-    has_base: bool,
+    inherited: [bool; 3],
     #[serde(default)]
     pub(super) title: String,
     #[serde(default)]
@@ -62,7 +63,10 @@ impl File {
     /// cells.
     pub(super) fn read(text: &str, file: &str) -> Result<Self, Error> {
         let mut parsed: Self = base::resolve(text, Path::new(file))?;
-        parsed.has_base = toml::from_str::<Self>(text).is_ok_and(|own| own.base.is_some());
+        if let Ok(own) = toml::from_str::<Self>(text) {
+            let lists = [own.rule.is_empty(), own.skip.is_empty(), own.evaluate.is_empty()];
+            parsed.inherited = lists.map(|empty| empty && own.base.is_some());
+        }
         if parsed.evaluate.is_empty() {
             parsed.evaluate.push(toml::from_str("").expect("everything has a default"));
         }
@@ -87,6 +91,13 @@ impl File {
         else {
             return Ok(());
         };
+        if let Value::Table(table) = value
+            && let Some((inner, value)) = flatten(table).into_iter().next()
+        {
+            return Err(format!(
+                "[grid.{key}]: write the whole name of the setting in [grid]: \"{key}.{inner}\" = {value}"
+            ));
+        }
         let example = if value.is_array() { "…".to_owned() } else { value.to_string() };
         Err(format!("[grid] {key}: give a list of values, e.g. {key} = [{example}]"))
     }
@@ -114,6 +125,11 @@ impl File {
             if self.evaluate[..i].iter().any(|other| other.name == *name) {
                 return Err(format!(
                     "two evaluations have the name `{name}`; give each its own `name`"
+                ));
+            }
+            if name == "learning_curves" {
+                return Err(format!(
+                    "[[evaluate]] `{name}`: the report has a figure of this name; choose another"
                 ));
             }
             if name.is_empty() || name.contains(['/', ' ']) || evaluate.episodes == 0 {
@@ -145,15 +161,13 @@ impl File {
     }
 
     /// Checks that conditions name values of the grid, and that no rule sets a key of the grid. A
-    /// file with a base may narrow the grid to which the conditions of its base refer.
+    /// file may narrow the grid to which the conditions of its base refer: they are not checked.
     fn check_conditions(&self) -> Result<(), String> {
-        if self.has_base {
-            return Ok(());
-        }
         let of = |what: String, when: &Table| {
             conditions::check_values(when, &self.grid).map_err(|why| format!("{what}: {why}"))
         };
-        for (i, rule) in self.rule.iter().enumerate() {
+        let [rules, skips, evaluations] = self.inherited;
+        for (i, rule) in self.rule.iter().enumerate().filter(|_| !rules) {
             let name = format!("[[rule]] number {}", i + 1);
             let twice = flatten(&rule.set).into_keys().find(|key| self.varies(key));
             if let Some(key) = twice {
@@ -163,10 +177,10 @@ impl File {
             }
             of(name, &rule.when)?;
         }
-        for (i, skip) in self.skip.iter().enumerate() {
+        for (i, skip) in self.skip.iter().enumerate().filter(|_| !skips) {
             of(format!("[[skip]] number {}", i + 1), &skip.when)?;
         }
-        let mut all = self.evaluate.iter();
+        let mut all = self.evaluate.iter().filter(|_| !evaluations);
         all.try_for_each(|evaluate| of(format!("[[evaluate]] `{}`", evaluate.name), &evaluate.when))
     }
 
@@ -203,6 +217,13 @@ impl File {
                 return Err(format!(
                     "[[reference]] `{label}`: metric must be one of {}, and evaluate the name of an evaluation",
                     reported().collect::<Vec<_>>().join(", ")
+                ));
+            }
+            let (least, most) =
+                metrics::named(metric).map_or((f64::MIN, f64::MAX), |m| m.scale.bounds);
+            if let Some(wrong) = y.iter().find(|y| !(least..=most).contains(*y)) {
+                return Err(format!(
+                    "[[reference]] `{label}`: y has {wrong}, and values of {metric} lie between {least} and {most}, as in the JSON of `iwol evaluate`"
                 ));
             }
         }
@@ -292,6 +313,16 @@ impl File {
             layers.resolve().map_err(|source| Error::Cell { place: place.clone(), source })
         };
         let Resolution { config, place: task, .. } = resolve(&layers)?;
+        let varied = values.iter().map(|(key, _)| key).filter(|key| self.varies(key));
+        let mut idle = varied.filter_map(|key| Some((key, config::idle(key, task.scenario()?)?)));
+        if let Some((key, why)) = idle.next() {
+            return Err(wrong(
+                file,
+                format!(
+                    "[grid] {key} has no effect in cell {id}, because {why}; leave it out, or change the other value"
+                ),
+            ));
+        }
         let known = config.scenario.file.join(&config.environment);
         let fingerprint = fingerprints.entry(known).or_insert_with(|| task.fingerprint()).clone();
         if let Some(why) = config.cannot_be_trained() {
@@ -336,32 +367,6 @@ impl File {
             None => Ok(()),
         }
     }
-}
-
-/// Checks that no two cells are the same training.
-///
-/// # Errors
-/// Two cells that differ only in settings that their algorithm does not read.
-fn check_distinct(cells: &[Cell]) -> Result<(), String> {
-    let mut known: BTreeMap<String, &Cell> = BTreeMap::new();
-    for cell in cells {
-        let Some(other) = known.insert(cell.config.read_settings(), cell) else { continue };
-        let differs = |(key, value): &&(String, Value)| value_of(&other.values, key) != Some(value);
-        let keys: Vec<&str> =
-            cell.values.iter().filter(differs).map(|(key, _)| key.as_str()).collect();
-        let algorithm = &cell.config.algorithm;
-        return Err(format!(
-            "[grid]: the cells {} and {} are the same training, because {algorithm} does not read {}; leave one of them out with [[skip]], e.g. when = {{ algorithm = \"{algorithm}\", {} }}",
-            other.id,
-            cell.id,
-            keys.join(" and "),
-            keys.iter()
-                .filter_map(|key| Some(format!("{key:?} = {}", value_of(&cell.values, key)?)))
-                .collect::<Vec<_>>()
-                .join(", "),
-        ));
-    }
-    Ok(())
 }
 
 /// Returns whether two values are the same, numbers by their size.

@@ -36,6 +36,7 @@ mod base;
 mod cell;
 mod conditions;
 mod contrast;
+mod distinct;
 mod error;
 mod file;
 
@@ -62,6 +63,8 @@ pub struct Sweep {
     pub title: String,
     /// Keys of the grid, in the file's order, each with its number of values.
     pub keys: Vec<(String, usize)>,
+    /// The grid.
+    pub grid: Table,
     /// The cells. Seeds vary slowest, so that an interrupted sweep has complete rows for its first
     /// seeds.
     pub cells: Vec<Cell>,
@@ -206,6 +209,7 @@ impl Sweep {
         Ok(Self {
             name: name.to_owned(),
             title: if parsed.title.is_empty() { name.to_owned() } else { parsed.title },
+            grid: parsed.grid.clone(),
             keys: parsed.grid.iter().map(|(key, value)| (key.clone(), count(value))).collect(),
             cells,
             evaluations: parsed.evaluate,

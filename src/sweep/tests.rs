@@ -84,9 +84,10 @@ fn the_scenario_can_be_changed_beside_its_short_form() {
         let short = FILE.replace("seed = [0, 1]", &format!("seed = [0, 1]\n{more}"));
         parse(&short).unwrap().cells
     };
-    for cell in sweep("\"scenario.observation.neighbours\" = [2]") {
-        assert_eq!(cell.config.scenario.value("observation", "neighbours"), Some(&2.into()));
-        assert!(cell.id.contains("neighbours=2"), "{}", cell.id);
+    for cell in sweep("\"scenario.observation.detectionRange\" = [50]") {
+        let range = cell.config.scenario.value("observation", "detectionRange");
+        assert_eq!(range.and_then(toml::Value::as_float), Some(50.0));
+        assert!(cell.id.contains("detectionRange=50"), "{}", cell.id);
     }
     let files = sweep("scenario = [\"scenarios/intersection.xml\", \"scenarios/mixed_cross.xml\"]");
     assert!(files.iter().any(|cell| cell.config.scenario.file.ends_with("mixed_cross.xml")));
@@ -366,4 +367,56 @@ fn mistakes_are_named() {
         message(("[[rule]]", "[[skip]]\nwhen = { seed = [0, 1] }\n[[rule]]"))
             .contains("leaves no cell")
     );
+}
+
+#[test]
+fn a_grid_value_that_the_scenario_does_not_read_is_refused() {
+    let idle = FILE.replace("seed = [0, 1]", "\"scenario.observation.foresight\" = [1, 2]");
+    let refused = parse(&idle).expect_err("must be refused").to_string();
+    assert!(
+        refused.contains("scenario.observation.foresight has no effect in cell")
+            && refused.contains("because encounters is 0"),
+        "{refused}"
+    );
+    let table =
+        FILE.replace("agents = [4, 8]\n", "agents = [4, 8]\nppo = { gamma = [0.9, 0.99] }\n");
+    let refused = parse(&table).expect_err("must be refused").to_string();
+    assert!(refused.contains("\"ppo.gamma\" = [0.9, 0.99]"), "{refused}");
+}
+
+/// The grid of a base may be narrowed; a file's own conditions are checked all the same.
+#[test]
+fn own_rules_of_a_file_with_a_base_are_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("base.toml"), FILE).unwrap();
+    let file = folder.path().join("own.toml");
+    let load = |text: &str| {
+        std::fs::write(&file, text).unwrap();
+        Sweep::load(&file, Path::new("out")).map(|sweep| sweep.cells.len())
+    };
+    assert_eq!(load("base = \"base.toml\"\n[grid]\nalgorithm = [\"mappo\"]").unwrap(), 4);
+    let rule = "base = \"base.toml\"\n[[rule]]\nwhen = { agents = 99 }\nset = { steps = 9 }";
+    let refused = load(rule).expect_err("must be refused").to_string();
+    assert!(refused.contains("`when` names agents = 99"), "{refused}");
+}
+
+#[test]
+fn contrasts_are_of_two_groups_and_published_values_are_possible() {
+    let contrast = |minus: &str| {
+        format!(
+            "{FILE}\n[[contrast]]\ntitle = \"c\"\nmetric = \"success\"\nplus = [{{ algorithm = \"mappo\", agents = 4 }}]\n\
+             minus = [{{ algorithm = \"{minus}\", agents = 4 }}]\nat = {{ \"scenario.communication.range\" = 10.0 }}"
+        )
+    };
+    assert!(parse(&contrast("im-iwol")).is_ok());
+    let refused = parse(&contrast("mappo")).expect_err("must be refused").to_string();
+    assert!(refused.contains("plus and minus both select"), "{refused}");
+    let published = |y: &str| {
+        parse(&format!(
+            "{FILE}\n[[reference]]\nlabel = \"p\"\nmetric = \"success\"\nx = [100.0]\ny = [{y}]"
+        ))
+    };
+    assert!(published("0.97").is_ok());
+    let refused = published("97.1").expect_err("must be refused").to_string();
+    assert!(refused.contains("lie between 0 and 1"), "{refused}");
 }

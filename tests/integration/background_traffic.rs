@@ -424,7 +424,7 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
                     boxes_overlap((&agent.pose, size), (&other.pose, other.size))
                 };
                 assert!(wrecks.iter().any(hit), "{agent:?} {wrecks:?}");
-                assert_eq!((others.ttc, others.pet), (0.0, 0.0));
+                assert_eq!((others.ttc, others.pet), (Some(0.0), Some(0.0)));
             } else {
                 assert!(agent.outcome.arrived && wrecks.is_empty());
             }

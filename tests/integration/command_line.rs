@@ -47,7 +47,7 @@ fn a_number_in_quotes_is_told_to_lose_them() {
     let output = output.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(output, @r#"
     2
-    error: DIR/a.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1; write it without quotes
+    error: DIR/a.toml:2:9: bad value for `ppo.gamma`: allowed: 0 to 1; write it as 0.99
     "#);
 }
 

@@ -119,6 +119,14 @@ const fn method(
         on_policy: false,
         latent,
         settings,
+        unread: &[
+            "iwol.decoded",
+            "ppo.epochs",
+            "ppo.gae_lambda",
+            "ppo.bounds",
+            "ppo.entropy_coefficient",
+            "ppo.entropy_end",
+        ],
     };
     Method { name, capabilities, build }
 }

@@ -65,10 +65,19 @@ impl Setup {
             Some(Origin::Given(place)) => !place.starts_with("--"),
             _ => true,
         });
+        let onnx = args.policy.iter().any(|name| name.starts_with(super::ONNX));
+        if onnx && args.set.iter().any(|set| set.trim_start().starts_with("channel.")) {
+            bail!(
+                "an ONNX file contains the policy without a channel, so that settings of `channel` have no effect on it: evaluate the run instead, or omit these settings"
+            );
+        }
         if checkpoint.is_some() {
             for line in config::unread(&args.set, &config.algorithm) {
                 say!("{line}");
             }
+        }
+        for line in config::without_effect(&args.set, place.scenario()) {
+            say!("{line}");
         }
         let run = args.run.as_deref().and_then(RunDir::of);
         if let (Some(run), TaskSource::Scenario(scenario)) = (run, &place) {
@@ -122,7 +131,8 @@ impl Setup {
 /// Says how the task differs from the scenario's file, if that file is not the one of training.
 fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Change]) {
     let file = scenario.path.display();
-    if args.scenario.is_none() {
+    let given = |set: &String| set.trim_start().starts_with("scenario=");
+    if args.scenario.is_none() && !args.set.iter().any(given) {
         if run.fingerprint().is_none_or(|trained| trained == scenario.fingerprint()) {
             return;
         }

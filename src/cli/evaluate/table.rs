@@ -89,6 +89,15 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
         }
         text.push('\n');
     }
+    for (row, known) in rows.iter().filter_map(|row| Some((row, row.metrics.counted?))) {
+        let _ = writeln!(
+            text,
+            "{}: in {} of {} no agent arrived, failed or was late; shares of agents are over the others",
+            row.policy,
+            row.episodes.saturating_sub(known),
+            counted(row.episodes, "episode")
+        );
+    }
     for row in rows.iter().filter(|row| !row.metrics.reconstruction.is_empty()) {
         for known in &row.metrics.reconstruction {
             let _ = writeln!(text, "latent of {}: explains {}", row.policy, describe(known));

@@ -362,8 +362,8 @@ impl Background {
     }
 
     /// Returns the summary of the episode.
-    pub(super) fn metrics(&self, task: &Task, slots: &[Slot]) -> BackgroundMetrics {
-        self.effects.metrics(&task.map, slots)
+    pub(super) fn metrics(&self, task: &Task, slots: &[Slot], watched: bool) -> BackgroundMetrics {
+        self.effects.metrics(&task.map, slots, watched)
     }
 }
 

@@ -147,8 +147,9 @@ impl Effects {
         }
     }
 
-    /// Returns the summary of the episode; `slots` are those of the background traffic.
-    pub(super) fn metrics(&self, map: &Map, slots: &[Slot]) -> BackgroundMetrics {
+    /// Returns the summary of the episode; `slots` are those of the background traffic, and
+    /// `watched` says whether there was an agent.
+    pub(super) fn metrics(&self, map: &Map, slots: &[Slot], watched: bool) -> BackgroundMetrics {
         let here = slots.iter().zip(&self.road_users);
         let of_kind = |walks: bool| -> Vec<&RoadUser> {
             let of_kind = |(slot, _): &(&Slot, _)| {
@@ -174,8 +175,8 @@ impl Effects {
             pedestrians: walkers.len() as u32,
             pedestrian_crash: share(&walkers, |road_user| road_user.crashed),
             pedestrian_close: share(&walkers, |road_user| road_user.close),
-            ttc: self.ttc,
-            pet: self.pet,
+            ttc: watched.then_some(self.ttc),
+            pet: watched.then_some(self.pet),
         }
     }
 }

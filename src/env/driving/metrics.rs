@@ -91,10 +91,11 @@ pub struct BackgroundMetrics {
     #[serde(default)]
     pub pedestrian_close: f64,
     /// Smallest time to collision of an agent with a background vehicle or pedestrian if both keep
-    /// their headings and speeds \[s\]; 5 where it was never less, 0 after a collision.
-    pub ttc: f64,
+    /// their headings and speeds \[s\]; 5 where it was never less, 0 after a collision; `None`
+    /// without an agent.
+    pub ttc: Option<f64>,
     /// Smallest post-encroachment time \[s\]: from when the first of an agent and a background
     /// vehicle or pedestrian leaves the conflict point of their routes until the second reaches it;
-    /// 5 where it was never less, 0 after a collision.
-    pub pet: f64,
+    /// 5 where it was never less, 0 after a collision; `None` without an agent.
+    pub pet: Option<f64>,
 }

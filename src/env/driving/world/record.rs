@@ -12,7 +12,7 @@ impl World {
         let trips = self.trips.counts(task, steps, agents, &self.loitering);
         let n = trips.count.max(1.0);
         let (success, danger) = (trips.arrived / n, trips.failed / n);
-        let background = || self.background.metrics(task, others);
+        let background = || self.background.metrics(task, others, trips.begun > 0.0);
         let flow = task.has_flow().then(|| {
             let waiting = agents.iter().filter(|slot| slot.is_waiting()).count() as u32;
             let queued = waiting + self.background.queued(task, now);
