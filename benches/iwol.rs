@@ -27,7 +27,7 @@ fn task_of(scenario: &str, agents: u32, lidar_beams: usize) -> Arc<Task> {
 
 fn env(agents: u32, worlds: usize) -> VecEnv {
     let options = VecOptions {
-        replay: 0.0,
+        repeat_failed: 0.0,
         worlds,
         stride: worlds as u64,
         driver: Driver::Agents,

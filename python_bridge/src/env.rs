@@ -144,7 +144,7 @@ impl NativeEnv {
                     driver: Driver::Agents,
                     seed: stream(seed),
                     episodes: episode..u64::MAX,
-                    replay: 0.0,
+                    repeat_failed: 0.0,
                     hosting: self.hosting,
                 };
                 let actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];

@@ -34,7 +34,7 @@ pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
             group if algo::Settings::OWN.contains(&group) && !method.settings.contains(&group) => {
                 "does not read it"
             }
-            _ if method.unread.contains(&&*full_name(key)) => "does not read it",
+            _ if method.unread.contains(&full_name(key)) => "does not read it",
             _ => return None,
         };
         Some(format!("--set {set} has no effect: {algorithm} {why}"))
