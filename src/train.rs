@@ -35,7 +35,6 @@ use crate::fnv::Fnv;
 use crate::ranks::{Ranks, Team};
 use crate::rng::Seed;
 use crate::rollout::Rollout;
-use crate::stats;
 use ahead::Ahead;
 use collect::{Collector, Exploring};
 
@@ -363,9 +362,7 @@ impl Trainer {
         dir: &RunDir,
         files: &mut Files,
     ) -> Result<f64, Error> {
-        let known: Vec<f64> =
-            evaluation.episodes.iter().filter_map(EpisodeRecord::success).collect();
-        let success = stats::mean(&known).unwrap_or(0.0);
+        let success = EpisodeRecord::mean_success(evaluation.episodes.iter()).unwrap_or(0.0);
         let window =
             evaluation.windows.iter().sum::<f64>() / evaluation.windows.len().max(1) as f64;
         files.validation(&self.progress, evaluation)?;

@@ -37,6 +37,12 @@ pub struct EpisodeRecord {
 }
 
 impl EpisodeRecord {
+    /// Returns the mean of the episodes' [`Self::success`]; `None` if no agent counts in any.
+    pub fn mean_success<'a>(records: impl Iterator<Item = &'a Self>) -> Option<f64> {
+        let known: Vec<f64> = records.filter_map(Self::success).collect();
+        (!known.is_empty()).then(|| known.iter().sum::<f64>() / known.len() as f64)
+    }
+
     /// Returns the share of agents that reached their goal; `None` if no agent counts.
     pub fn success(&self) -> Option<f64> {
         let undecided = self.driving.as_ref().is_some_and(|driving| driving.undecided);

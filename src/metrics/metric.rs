@@ -136,6 +136,15 @@ impl Metric {
     }
 }
 
+/// Returns how the reference says which values are better.
+pub(super) fn better(better: Better) -> &'static str {
+    match better {
+        Better::Higher => "higher",
+        Better::Lower => "lower",
+        Better::Neither => "–",
+    }
+}
+
 /// A field of [`Metrics`] that contains an estimate.
 pub(super) trait Field: Sized {
     fn estimate(&self) -> Option<Estimate>;

@@ -79,7 +79,7 @@ pub(super) fn reference() -> String {
     for named in NamedEnvironment::BUILT_IN.into_iter().filter_map(NamedEnvironment::find) {
         for OwnMetric { name, better, values, meaning } in &named.environment().spec().metrics {
             let heading = registered(name, *better, *values, meaning).heading();
-            let (environment, better) = (named.name, super::reference::better(*better));
+            let (environment, better) = (named.name, super::metric::better(*better));
             let row = format!("| `{environment}` | {heading} | `{name}` | {better} | {meaning} |");
             let _ = writeln!(text, "{row}");
         }

@@ -2,7 +2,8 @@
 
 use std::fmt::Write as _;
 
-use super::{Better, Shown, all, own};
+use super::metric::better;
+use super::{Shown, all, own};
 
 /// Returns the reference of all metrics as Markdown: `docs/reference/metrics.md`.
 pub fn reference() -> String {
@@ -27,13 +28,4 @@ pub fn reference() -> String {
         let _ = writeln!(text, "| {heading} | `{id}` | {better} | {shown} | {meaning} |");
     }
     text + &own::reference()
-}
-
-/// Returns how the reference says which values are better.
-pub(super) fn better(better: Better) -> &'static str {
-    match better {
-        Better::Higher => "higher",
-        Better::Lower => "lower",
-        Better::Neither => "–",
-    }
 }

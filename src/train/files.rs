@@ -14,7 +14,6 @@ use crate::env::{DrivingRecord, Environment, EpisodeRecord};
 use crate::evaluate::Evaluation;
 use crate::metrics::{self, Metric, Shown};
 use crate::record::{self, JsonLines, JsonObject, TensorBoard};
-use crate::stats;
 
 /// Keys of a validation's metrics of the world decoder: error and explained variance over all
 /// features, explained variance of the linear probe, number of undetermined features, and explained
@@ -126,10 +125,9 @@ impl Files {
         let driving = |of: fn(&DrivingRecord) -> Option<f64>| {
             let all: Vec<f64> =
                 episodes.iter().filter_map(|r| r.driving.as_ref()).filter_map(of).collect();
-            stats::mean(&all)
+            (!all.is_empty()).then(|| all.iter().sum::<f64>() / all.len() as f64)
         };
-        let known: Vec<f64> = episodes.iter().filter_map(|r| r.success()).collect();
-        let success = stats::mean(&known);
+        let success = EpisodeRecord::mean_success(episodes.iter().copied());
         let mut values: Vec<(&str, f64)> = losses.clone();
         values.extend(success.map(|success| ("episode/success", success)));
         if !episodes.is_empty() {

@@ -515,3 +515,18 @@ fn config_prints_settings_with_their_origins() {
     assert!(serde_json::from_str::<serde_json::Value>(&schema).is_ok(), "{schema}");
     assert!(failure(&mut iwol(&["config"])).contains("no scenario given"));
 }
+
+/// Values that the method or the scenario does not read are said.
+#[test]
+fn settings_without_effect_are_said() {
+    let run = root().join("policies/ex-iwol-8").display().to_string();
+    let sets = ["--set", "iwol.latent=8", "--set", "scenario.observation.foresight=2"];
+    let evaluation = [&["evaluate", &run, "--episodes", "1"], &sets[..]].concat();
+    let said = text(&succeeds(&mut iwol(&evaluation)).stderr);
+    for expected in [
+        "--set iwol.latent=8 has no effect: ex-iwol does not read it",
+        "--set scenario.observation.foresight=2 has no effect: encounters is 0",
+    ] {
+        assert!(said.contains(expected), "{said}");
+    }
+}

@@ -5,7 +5,7 @@ use std::fs;
 
 use serde_json::Value;
 
-use crate::support::{folder, iwol, root, succeeds, text};
+use crate::support::{failure, folder, iwol, root, succeeds, text};
 
 fn export(policy: &str, file: &str) {
     let run = root().join("policies").join(policy);
@@ -122,4 +122,17 @@ fn models_that_do_not_fit_are_refused() {
         let message = text(&output.stderr);
         assert!(message.contains(expected) && message.contains(&at(file)), "{expected}: {message}");
     }
+}
+
+/// A disturbed channel would change what the run does, and not what its model does.
+#[test]
+fn a_channel_is_refused_beside_a_model() {
+    let folder = folder();
+    let file = folder.path().join("policy.onnx").display().to_string();
+    export("ex-iwol-8", &file);
+    let policy = format!("onnx:{file}");
+    let scenario = root().join("scenarios/intersection.xml").display().to_string();
+    let task = ["evaluate", "--scenario", &scenario, "--policy", &policy, "--episodes", "1"];
+    let said = failure(&mut iwol(&[&task[..], &["--set", "channel.loss=1"]].concat()));
+    assert!(said.contains("contains the policy without a channel"), "{said}");
 }
