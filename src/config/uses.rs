@@ -54,6 +54,7 @@ pub fn without_effect(sets: &[String], scenario: Option<&Scenario>) -> Vec<Strin
 /// Returns why a setting `key` or `key=value` has no effect in a scenario, if it has none.
 pub fn idle(set: &str, scenario: &Scenario) -> Option<&'static str> {
     let key = set.split_once('=').map_or(set, |(key, _)| key).trim().strip_prefix("scenario.")?;
+    // Every scenario file has this attribute, so that it is not reported there.
     let neighbours = ("observation", "neighbours", "groups is `conflict`");
     let more = (!scenario.observation.groups.nearest()).then_some(neighbours);
     let mut all = scenario::without_effect(scenario).chain(more);
