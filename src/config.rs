@@ -34,7 +34,7 @@ pub use presets::{PRESETS, Preset};
 pub use profiles::{PROFILES, Profile};
 pub(crate) use scenario::flat_changes;
 pub use scenario::{ScenarioSettings, changes};
-pub use uses::{idle, no_matter_of_evaluation, unread, without_effect};
+pub use uses::{idle, no_matter_of_evaluation, overruled, unread, without_effect};
 
 use defaults::Setting;
 use std::path::PathBuf;

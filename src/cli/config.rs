@@ -8,7 +8,7 @@ use anyhow::Context as _;
 use toml::Value;
 
 use crate::algo;
-use crate::config::{Config, Document, Layers, PRESETS, PROFILES, Profile};
+use crate::config::{self, Config, Document, Layers, PRESETS, PROFILES, Profile};
 use crate::env::NamedEnvironment;
 
 use super::Verdict;
@@ -120,10 +120,12 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else if args.reference {
         super::print(format_args!("{}", Config::reference()));
     } else {
-        super::print(format_args!(
-            "{}",
-            args.settings.layers(Profile::of_this_machine())?.resolve()?.explained()
-        ));
+        let layers = args.settings.layers(Profile::of_this_machine())?;
+        let resolution = layers.resolve()?;
+        for line in config::overruled(&layers, &resolution.origins) {
+            say!("{line}");
+        }
+        super::print(format_args!("{}", resolution.explained()));
     }
     Ok(Verdict::Good)
 }

@@ -102,7 +102,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else {
         "Learning curves".to_owned()
     };
-    figure(&out, &title, &panels, (700 * panels.len() as u32, 640))?;
+    figure(&out, &title, &panels, (700, 640))?;
     tell!("{}", out.display());
     Ok(Verdict::Good)
 }
@@ -144,7 +144,10 @@ fn read(run: &Path, along: Along) -> anyhow::Result<Vec<Line>> {
         .with_context(|| format!("`{}` is not a run folder", run.display()))?;
     let is_empty = |of| curve(&lines, along, SUCCESS, of).is_empty();
     if is_empty(Line::exploration) && is_empty(Line::validation) {
-        bail!("`{}` contains no finished episode yet; train longer", run.display());
+        bail!(
+            "`{}` contains no validation and no finished training episode with an agent to draw",
+            run.display()
+        );
     }
     Ok(lines)
 }
@@ -207,11 +210,18 @@ fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
         .with_context(|| format!("`{}` is no output of `iwol evaluate --json`", path.display()))?;
     let methods = crate::algo::names();
     let trained = |policy: &String| policy.is_empty() || methods.contains(&policy.as_str());
-    Ok(results
+    let untrained: Vec<_> = results
         .into_iter()
         .filter(|result| !trained(&result.policy))
         .map(|result| (path, result))
-        .collect())
+        .collect();
+    if untrained.is_empty() {
+        bail!(
+            "`{}` contains no result of a policy without training, such as of `iwol evaluate --policy sumo`",
+            path.display()
+        );
+    }
+    Ok(untrained)
 }
 
 #[cfg(test)]

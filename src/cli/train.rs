@@ -118,7 +118,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         // A resumed run uses its own settings.
         layers.document = Document::read(&RunDir::new(out).config())?;
     }
-    let Resolution { mut config, mut place, mut profile, .. } = layers.resolve()?;
+    let Resolution { mut config, mut place, mut profile, mut origins, .. } = layers.resolve()?;
     if let Some(why) = config.cannot_be_trained() {
         bail!(why);
     }
@@ -138,7 +138,10 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     if args.resume && given.config.is_none() && args.out.is_none() {
         // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
-        Resolution { config, place, profile, .. } = layers.resolve()?;
+        Resolution { config, place, profile, origins, .. } = layers.resolve()?;
+    }
+    for line in config::overruled(&layers, &origins).into_iter().filter(|_| first) {
+        say!("{line}");
     }
     if !args.resume && dir.last().exists() {
         bail!(

@@ -57,6 +57,16 @@ pub const PROFILES: [Profile; 3] = [
 ];
 
 impl Profile {
+    /// The settings that profiles change.
+    pub(super) const SETTINGS: [&str; 6] = [
+        "device",
+        "ppo.learning_rate",
+        "ppo.minibatch",
+        "ppo.shards",
+        "train.envs",
+        "train.rollout_steps",
+    ];
+
     /// Returns the profile called `name`.
     pub fn named(name: &str) -> Option<&'static Self> {
         PROFILES.iter().find(|profile| profile.name == name)

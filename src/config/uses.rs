@@ -1,6 +1,9 @@
 //! Which settings can be used to train, to evaluate a policy, and to start from a policy.
 
-use super::{Config, full_name};
+use super::origin::{Origin, Origins};
+use super::presets::Preset;
+use super::profiles::Profile;
+use super::{Config, Layers, flatten, full_name};
 use crate::algo;
 use crate::env::NamedEnvironment;
 use crate::scenario::{self, Scenario};
@@ -61,6 +64,39 @@ pub fn idle(set: &str, scenario: &Scenario) -> Option<&'static str> {
     all.find_map(|(element, attribute, why)| {
         (key.split_once('.') == Some((element, attribute))).then_some(why)
     })
+}
+
+/// Returns which options of the command line have no effect on the resolved settings, each with the
+/// reason: a preset or profile whose settings are all given elsewhere, such as in the file of a run,
+/// and a `--set` of what another option says.
+pub fn overruled(layers: &Layers, origins: &Origins) -> Vec<String> {
+    let flags = layers.flags.iter().filter_map(|(key, value)| {
+        let name = value.as_str()?;
+        Some((format!("--{key} {name}"), *key, name))
+    });
+    let sets = layers.sets.iter().filter_map(|set| {
+        let (key, value) = set.split_once('=')?;
+        Some((format!("--set {set}"), key.trim(), value.trim()))
+    });
+    let mut lines = Vec::new();
+    for (option, key, name) in flags.chain(sets) {
+        let is_given = |key: &str| matches!(origins.get(key), Some(Origin::Given(_)));
+        let all_given = match key {
+            "preset" => Preset::named(name)
+                .is_some_and(|preset| flatten(&preset.table()).keys().all(|key| is_given(key))),
+            "profile" => Profile::SETTINGS.iter().all(|key| is_given(key)),
+            _ => false,
+        };
+        let flag = layers.flags.iter().find(|(own, _)| full_name(own) == full_name(key));
+        if let Some((flag, _)) = flag.filter(|_| option.starts_with("--set ")) {
+            let flag = flag.rsplit('.').next().unwrap_or(flag);
+            lines.push(format!("{option} has no effect: --{flag} is given, too"));
+        } else if all_given {
+            let file = &layers.document.name;
+            lines.push(format!("{option} has no effect: {file} gives all of its settings"));
+        }
+    }
+    lines
 }
 
 impl Config {

@@ -1,6 +1,6 @@
 //! Plots of curves, and of points with intervals, as PNG or SVG pictures.
 //!
-//! A figure is a row of panels that share one legend below them; a label has the same colour in
+//! A figure has rows of panels that share one legend below them; a label has the same colour in
 //! every panel. Names of horizontal reference lines (policies without training) stand at the right
 //! margin, so that no text covers data. The font of PNGs is part of the program, so nothing has to
 //! be installed. Everything is drawn at three times the size and PNGs are averaged down, because the
@@ -90,18 +90,18 @@ pub struct Panel {
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// The picture is too small to hold the panels, or larger than the limit.
+    /// The panels are too small, or the picture would be larger than the limit.
     #[error(
-        "cannot draw {} on {width} x {height} pixels; each panel needs at least {MIN_PANEL} x {MIN_PANEL}, the whole at \
-         most {MAX_SIDE} x {MAX_SIDE}",
+        "cannot draw {} of {width} x {height} pixels each; a panel needs at least {MIN_PANEL} x {MIN_PANEL}, the whole \
+         picture at most {MAX_SIDE} x {MAX_SIDE}",
         counted(panels, "panel")
     )]
     Size {
         /// Requested number of panels.
         panels: usize,
-        /// Requested width \[pixels\].
+        /// Requested width of a panel \[pixels\].
         width: u32,
-        /// Requested height \[pixels\].
+        /// Requested height of a panel \[pixels\].
         height: u32,
     },
     /// The name of the file says no format of pictures.
@@ -121,7 +121,9 @@ pub enum Error {
 /// Minimum width and height per panel \[pixels\].
 const MIN_PANEL: u32 = 280;
 /// Maximum width and height of a figure \[pixels\].
-const MAX_SIDE: u32 = 4096;
+const MAX_SIDE: u32 = 8192;
+/// Maximum number of panels in a row.
+const COLUMNS: usize = 4;
 
 // Letter heights in pixels of the picture.
 const TITLE: i32 = 28;
@@ -169,26 +171,30 @@ impl Format {
     }
 }
 
-/// Draws `panels` side by side under `title` and writes them as a picture of `size` (width, height
-/// in pixels) to `path`, whose extension says the format. The file appears complete or not at all.
+/// Draws `panels` in rows of at most four under `title` and writes them as a picture to `path`, whose
+/// extension says the format. `panel` is the width and height of each panel \[pixels\]; title and
+/// legend take a part of the height. The file appears complete or not at all.
 ///
 /// Panels and series without a usable point are marked "no data".
 ///
 /// # Errors
-/// [`Error::Format`] for a name that does not end in `.png` or `.svg`, [`Error::Size`] for a size
-/// that cannot hold the panels, [`Error::Write`] if the file cannot be written.
-pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> Result<(), Error> {
+/// [`Error::Format`] for a name that does not end in `.png` or `.svg`, [`Error::Size`] for panels
+/// that are too small or a picture that would be too large, [`Error::Write`] if the file cannot be
+/// written.
+pub fn figure(path: &Path, title: &str, panels: &[Panel], panel: (u32, u32)) -> Result<(), Error> {
     let format = Format::of(path)?;
-    let (width, height) = size;
-    let least_width =
-        u32::try_from(panels.len().max(1)).map_or(u32::MAX, |n| n.saturating_mul(MIN_PANEL));
-    if width < least_width || height < MIN_PANEL || width > MAX_SIDE || height > MAX_SIDE {
-        return Err(Error::Size { panels: panels.len(), width, height });
-    }
     let figure = Figure { title, panels };
+    let (rows, columns) = figure.shape();
+    let side = |panel: u32, count: usize| {
+        let whole = panel.checked_mul(u32::try_from(count).ok()?)?;
+        (panel >= MIN_PANEL && whole <= MAX_SIDE).then_some(whole)
+    };
+    let (Some(width), Some(height)) = (side(panel.0, columns), side(panel.1, rows)) else {
+        return Err(Error::Size { panels: panels.len(), width: panel.0, height: panel.1 });
+    };
     let bytes = match format {
-        Format::Png => canvas::png(size, &figure)?,
-        Format::Svg => canvas::svg(size, &figure)?,
+        Format::Png => canvas::png((width, height), &figure)?,
+        Format::Svg => canvas::svg((width, height), &figure)?,
     };
     Ok(record::write_atomic(path, &bytes)?)
 }
@@ -196,6 +202,14 @@ pub fn figure(path: &Path, title: &str, panels: &[Panel], size: (u32, u32)) -> R
 struct Figure<'a> {
     title: &'a str,
     panels: &'a [Panel],
+}
+
+impl Figure<'_> {
+    /// Returns the numbers of rows and columns of panels.
+    fn shape(&self) -> (usize, usize) {
+        let rows = self.panels.len().div_ceil(COLUMNS).max(1);
+        (rows, self.panels.len().div_ceil(rows).max(1))
+    }
 }
 
 impl Drawing for Figure<'_> {
@@ -210,7 +224,7 @@ impl Drawing for Figure<'_> {
         let legend = Legend::new(self.panels);
         let bottom = legend.draw(canvas)?;
         let places = canvas.clone().margin(top, height as i32 - bottom, 0, 0);
-        let places = places.split_evenly((1, self.panels.len().max(1)));
+        let places = places.split_evenly(self.shape());
         for (place, panel) in places.iter().zip(self.panels) {
             chart::draw(canvas, place, panel, &|label| legend.color(label))?;
         }
@@ -237,34 +251,53 @@ mod tests {
     }
 
     /// Draws a figure in a format and returns the content of the file.
-    fn drawn_as(format: Format, panels: &[Panel], size: (u32, u32)) -> Vec<u8> {
+    fn drawn_as(format: Format, panels: &[Panel], panel: (u32, u32)) -> Vec<u8> {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve").with_extension(format.extension());
-        figure(&path, "title", panels, size).unwrap();
+        figure(&path, "title", panels, panel).unwrap();
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "no temporary file is left");
         fs::read(&path).unwrap()
     }
 
     /// Draws a figure as PNG and as SVG, and returns width, height, and size in bytes of the PNG.
-    fn drawn(panels: &[Panel], size: (u32, u32)) -> (u32, u32, usize) {
-        let svg = String::from_utf8(drawn_as(Format::Svg, panels, size)).unwrap();
+    fn drawn(panels: &[Panel], panel: (u32, u32)) -> (u32, u32, usize) {
+        let svg = String::from_utf8(drawn_as(Format::Svg, panels, panel)).unwrap();
         let document = roxmltree::Document::parse(&svg).unwrap();
         let side = |name| document.root_element().attribute(name).unwrap().parse::<u32>().unwrap();
-        assert_eq!((side("width"), side("height")), size);
-        let png = drawn_as(Format::Png, panels, size);
+        let png = drawn_as(Format::Png, panels, panel);
         assert!(png.starts_with(b"\x89PNG\r\n\x1a\n"));
         let number = |at: usize| u32::from_be_bytes(png[at..at + 4].try_into().unwrap());
+        assert_eq!((side("width"), side("height")), (number(16), number(20)));
         (number(16), number(20), png.len())
     }
 
     #[test]
-    fn a_figure_has_the_size_asked_for() {
+    fn panels_have_the_size_asked_for() {
         let curve: Vec<_> = (0..30).map(|i| (f64::from(i) * 1e4, f64::from(i) / 30.0)).collect();
         let band = curve.iter().map(|&(x, y)| (x, y - 0.1, y + 0.1)).collect();
         let (width, height, bytes) =
-            drawn(&[panel(curve.clone(), Some(band)), panel(curve, None)], (640, 320));
+            drawn(&[panel(curve.clone(), Some(band)), panel(curve, None)], (320, 320));
         assert_eq!((width, height), (640, 320));
         assert!(bytes > 5_000, "{bytes} bytes hold no picture");
+    }
+
+    #[test]
+    fn many_panels_are_in_rows_and_none_is_left_out() {
+        for (count, shape) in [(0, (1, 1)), (1, (1, 1)), (4, (1, 4)), (5, (2, 3)), (20, (5, 4))] {
+            let mut panels = vec![panel(vec![(0.0, 1.0), (1.0, 2.0)], None); count];
+            for (number, panel) in panels.iter_mut().enumerate() {
+                panel.title = format!("panel {number}");
+            }
+            let svg = String::from_utf8(drawn_as(Format::Svg, &panels, (280, 280))).unwrap();
+            let document = roxmltree::Document::parse(&svg).unwrap();
+            let side =
+                |name| document.root_element().attribute(name).unwrap().parse::<u32>().unwrap();
+            assert_eq!((side("height") / 280, side("width") / 280), shape, "{count}");
+            let is_there = |title: &str| {
+                document.descendants().any(|node| node.text().is_some_and(|t| t.trim() == title))
+            };
+            assert!(panels.iter().all(|panel| is_there(&panel.title)), "{count}");
+        }
     }
 
     #[test]
@@ -342,7 +375,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("curve.png");
         let two = [panel(vec![], None), panel(vec![], None)];
-        for size in [(0, 0), (500, 400), (600, 100), (u32::MAX, 400)] {
+        for size in [(0, 0), (250, 400), (300, 100), (5000, 400), (u32::MAX, 400)] {
             assert!(
                 matches!(figure(&path, "", &two, size), Err(Error::Size { panels: 2, .. })),
                 "{size:?}"

@@ -27,7 +27,7 @@ pub(super) fn results(path: &Path, sweep: &Sweep, block: &Block<'_>) -> Result<(
     } else {
         names.into_iter().map(|name| panel(sweep, block, SUCCESS, Some(name))).collect()
     };
-    Ok(figure(path, "", &panels, ((PANEL.0 * panels.len() as u32).min(4000), PANEL.1))?)
+    Ok(figure(path, "", &panels, PANEL)?)
 }
 
 fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) -> Panel {
@@ -205,13 +205,11 @@ pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     Ok(true)
 }
 
-/// Draws validation success against environment steps: one panel per value of the axis if it is a
-/// setting of training, otherwise a single panel. Returns `false` if there is no curve.
+/// Draws validation success of the trained cells against environment steps: one panel per value of
+/// the axis. Returns `false` if there is no curve.
 pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
-    let trained = block.x.as_deref().is_some_and(|x| !block.evaluate.grid.contains_key(x));
-    let places: Vec<usize> = if trained { (0..block.categories.len()).collect() } else { vec![0] };
     let mut panels = Vec::new();
-    for place in places {
+    for (place, category) in block.categories.iter().enumerate() {
         let mut series = Vec::new();
         for line in &block.series {
             let curves = validations(line, place)?;
@@ -219,12 +217,9 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
                 series.push(curves::mean_curve(line.label.clone(), &curves, Along::Steps, SUCCESS));
             }
         }
-        let title = match (&block.x, trained) {
-            (Some(x), true) => format!("{} {}", block.categories[place], axis_label(x)),
-            _ => String::new(),
-        };
+        let name = |x: &String| format!("{category} {}", axis_label(x));
         panels.push(Panel {
-            title,
+            title: block.x.as_ref().map(name).unwrap_or_default(),
             x_label: Along::Steps.label().to_owned(),
             y_label: "validation success (%)".to_owned(),
             y_range: Some((0.0, 100.0)),
@@ -233,20 +228,18 @@ pub(super) fn learning_curves(path: &Path, block: &Block<'_>) -> Result<bool, Er
         });
     }
     panels.retain(|panel| !panel.series.is_empty());
-    // More panels do not fit side by side.
-    panels.truncate(8);
     if panels.is_empty() {
         return Ok(false);
     }
-    let width = (560 * panels.len() as u32).clamp(700, 4000);
+    let width = if panels.len() == 1 { 700 } else { 560 };
     figure(path, "", &panels, (width, 520))?;
     Ok(true)
 }
 
-/// Returns the curves of the evaluated runs at a place.
+/// Returns the curves of the trained runs at a place.
 fn validations(line: &Line<'_>, place: usize) -> Result<Vec<Curve>, Error> {
     let mut found = Vec::new();
-    for (cell, _) in line.rows[place].runs.iter().filter(|(_, found)| found.is_some()) {
+    for (cell, _) in line.rows[place].runs.iter().filter(|(cell, _)| cell.trained().is_some()) {
         let lines = curves::read(&cell.run().metrics())?;
         found.push(curves::curve(&lines, Along::Steps, SUCCESS, curves::Line::validation));
     }

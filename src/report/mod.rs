@@ -17,11 +17,13 @@ mod tables;
 
 use std::path::{Path, PathBuf};
 
+use toml::Table;
+
 use crate::metrics::{EvaluationResult, Shown};
 use crate::plot::{self, Format};
 use crate::provenance::Training;
 use crate::record::{self, write_atomic};
-use crate::sweep::{self, Cell, Sweep};
+use crate::sweep::{self, Cell, Evaluate, Sweep};
 
 use block::{Block, Unit};
 
@@ -91,7 +93,8 @@ pub fn write(
     }
     comparisons::add(&mut document, sweep)?;
     let file = figure("learning_curves");
-    if figures::learning_curves(&file, &blocks[0])? {
+    let as_trained = as_trained(sweep);
+    if figures::learning_curves(&file, &block::block(sweep, &as_trained)?)? {
         document.heading(2, "Learning curves");
         document.figure(&file, "Success in validation against environment steps, mean over seeds");
         written.push(file);
@@ -106,8 +109,15 @@ pub fn write(
     save("report.md", document.markdown().as_bytes())?;
     save("report.html", document.html()?.as_bytes())?;
     save("summary.json", export::summary(sweep, &blocks, command).as_bytes())?;
-    save("marl_eval.json", format!("{}\n", export::marl_eval(&blocks[0])?).as_bytes())?;
+    save("marl_eval.json", format!("{}\n", export::marl_eval(&blocks)?).as_bytes())?;
     Ok(written)
+}
+
+/// Returns what sorts every cell into lines and places by the settings of its training.
+fn as_trained(sweep: &Sweep) -> Evaluate {
+    let first = &sweep.evaluations[0];
+    let x = first.x.clone().filter(|x| sweep.grid.contains_key(x));
+    Evaluate { x, panels: None, grid: Table::new(), when: Table::new(), ..first.clone() }
 }
 
 /// Returns a key in words: its last part, and the element of a value in the scenario.

@@ -1,6 +1,7 @@
 //! One cell of a sweep: a run with its evaluations. The progress of both follows from the files in
 //! the cell's folder.
 
+use std::fs::{File, TryLockError};
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
 
@@ -98,6 +99,25 @@ impl Cell {
         let trained: Trained =
             serde_json::from_slice(&std::fs::read(self.trained_mark()).ok()?).ok()?;
         (self.steps() <= trained.steps).then_some(trained)
+    }
+
+    /// Creates the folder and claims the cell for this sweep's process, until the result is dropped
+    /// or the process ends. `None` if another sweep's process has claimed it.
+    ///
+    /// # Errors
+    /// If the folder or the file of the claim cannot be created.
+    pub fn claim(&self) -> Result<Option<File>, Error> {
+        let path = self.folder.join(".sweep.lock");
+        std::fs::create_dir_all(&self.folder).map_err(record::Error::io("create", &self.folder))?;
+        let file = File::options().create(true).append(true).open(&path);
+        let file = file.map_err(record::Error::io("create", &path))?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(file)),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(source)) => {
+                Err(record::Error::io("lock", &path)(source).into())
+            }
+        }
     }
 
     /// Returns the progress of the cell.
@@ -378,7 +398,7 @@ pub(super) fn check_order(cells: &[Cell]) -> Result<(), String> {
 
 /// Returns the last whole line of a file of JSON lines; reads only the end of the file.
 fn last_line(path: &Path) -> Option<serde_json::Value> {
-    let mut file = std::fs::File::open(path).ok()?;
+    let mut file = File::open(path).ok()?;
     let length = file.metadata().ok()?.len();
     file.seek(SeekFrom::Start(length.saturating_sub(8192))).ok()?;
     let mut tail = Vec::new();

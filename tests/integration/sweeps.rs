@@ -181,6 +181,34 @@ fn a_sweep_that_is_killed_goes_on_and_finds_the_same() {
     report(&file, &cut, folder.path());
 }
 
+#[test]
+fn two_sweeps_of_one_folder_share_its_cells() {
+    let folder = folder();
+    let file = sweep_file(folder.path(), FILE);
+    let out = folder.path().join("runs");
+    let start = |log: &Path| {
+        let log = std::fs::File::create(log).expect("a file");
+        let mut command = sweep(&file, &out, &["--jobs", "2"]);
+        Killed(command.stdout(Stdio::null()).stderr(log).spawn().expect("it starts"))
+    };
+    let logs = ["first.log", "second.log"].map(|name| folder.path().join(name));
+    let mut both = logs.each_ref().map(|log| start(log));
+    let ends = both.each_mut().map(|sweep| sweep.0.wait().expect("it ran"));
+    for (log, status) in logs.iter().zip(ends) {
+        let said = std::fs::read_to_string(log).expect("text");
+        // A sweep whose cells the other one works on says so.
+        let left = said.contains("left to another process");
+        assert!(!said.contains("FAILED") && status.success() != left, "{said}");
+    }
+    for seed in [0, 1] {
+        let cell = out.join(format!("tiny/mappo/seed_{seed}"));
+        let log = std::fs::read_to_string(cell.join("sweep.log")).expect("text");
+        assert_eq!(log.matches("parameters").count(), 1, "trained once: {log}");
+        assert!(!log.contains("error:"), "{log}");
+    }
+    assert_eq!(findings(&out).len(), 8);
+}
+
 /// Checks the contents of the report of a finished sweep.
 fn report(file: &Path, runs: &Path, folder: &Path) {
     let (out, kept) = (folder.join("report"), folder.join("kept"));

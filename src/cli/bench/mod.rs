@@ -10,7 +10,10 @@ mod train;
 mod update;
 mod workload;
 
+use anyhow::bail;
+
 use super::Verdict;
+use crate::config::{Layers, full_name};
 use crate::env::EnvSpec;
 
 /// Measures the speed of simulation, decisions, updates and whole trainings.
@@ -40,6 +43,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         What::Train(args) => return train::run(args),
     }
     Ok(Verdict::Good)
+}
+
+/// Refuses a `--set` of what a benchmark's own options determine.
+fn refuse_own(layers: &Layers) -> anyhow::Result<()> {
+    let is_own = |set: &&String| {
+        let key = set.split_once('=').map_or("", |(key, _)| full_name(key.trim()));
+        layers.flags.iter().any(|(own, _)| full_name(own) == key)
+    };
+    match layers.sets.iter().find(is_own) {
+        Some(set) => bail!("--set {set}: the benchmark's own options determine this setting"),
+        None => Ok(()),
+    }
 }
 
 /// Returns whether pair `k` of a mask `[.., N, N]` of random rollouts is linked: agents hear

@@ -137,7 +137,9 @@ impl Train {
         ];
         flags.extend(self.agents.map(|count| ("agents", Value::Integer(count.into()))));
         let profile = Some(Profile::of_this_machine());
-        Ok(Layers { profile, sets: self.set.clone(), flags, ..Layers::default() })
+        let layers = Layers { profile, sets: self.set.clone(), flags, ..Layers::default() };
+        super::refuse_own(&layers)?;
+        Ok(layers)
     }
 }
 

@@ -90,6 +90,7 @@ pub(super) fn run(args: &Update) -> anyhow::Result<()> {
             ("algorithm", Value::String(name.to_owned())),
         ];
         let layers = Layers { sets: args.set.clone(), flags, ..Layers::default() };
+        super::refuse_own(&layers)?;
         let (config, scenario) = Config::resolve(&layers)?;
         let row = measure(name, &config, &Task::new(&scenario, config.agents)?, args)?;
         if args.json {

@@ -60,6 +60,9 @@ impl Setup {
             layers.flags.push(("simulation.backend", Value::String(backend.clone())));
         }
         let Resolution { config, place, origins, mut replaced, .. } = layers.resolve()?;
+        for line in config::overruled(&layers, &origins) {
+            say!("{line}");
+        }
         // What the user asked for needs no mention.
         replaced.retain(|change| match origins.get(&change.key) {
             Some(Origin::Given(place)) => !place.starts_with("--"),

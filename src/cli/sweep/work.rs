@@ -93,13 +93,14 @@ enum End {
     Busy,
 }
 
-/// Does everything that is left to do for a cell.
+/// Does everything that is left to do for a cell, unless another sweep's process does.
 fn finish(
     sweep: &Sweep,
     cell: &Cell,
     stop: &AtomicBool,
     show: &mut dyn FnMut(&str),
 ) -> anyhow::Result<End> {
+    let Some(_claim) = cell.claim()? else { return Ok(End::Busy) };
     loop {
         // The next job depends on what another process leaves in the folder.
         let since = Instant::now();

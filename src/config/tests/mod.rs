@@ -3,12 +3,14 @@
 mod messages;
 mod scenario;
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use toml::Value;
 
 use super::{
-    Config, Document, Error, Layers, Origin, PRESETS, Profile, Resolution, Train, changes, flatten,
+    Config, Document, Error, Layers, Origin, PRESETS, PROFILES, Profile, Resolution, Train,
+    changes, flatten, overruled,
 };
 use crate::algo::settings::Ppo;
 use crate::algo::{ComputeDevice, settings};
@@ -269,6 +271,46 @@ fn profiles_give_sizes_below_presets_and_files() {
         message("profile = 'auto'\n", &[]),
         "c.toml:1:11: bad value for `profile`: there is no profile `auto` (available: laptop, workstation, gpu)"
     );
+}
+
+#[test]
+fn options_without_effect_are_told() {
+    let told = |text: &str, sets: &[&str], flags: &[(&'static str, &str)]| {
+        let mut layers = layers_on("intersection", text, sets);
+        layers.flags.extend(flags.iter().map(|(key, name)| (*key, Value::from(*name))));
+        let origins = layers.resolve().unwrap().origins;
+        overruled(&layers, &origins)
+    };
+    let whole = resolve("", &[]).unwrap().to_toml();
+    assert_eq!(
+        told(&whole, &["seed=3"], &[("preset", "steering"), ("profile", "gpu")]),
+        [
+            "--preset steering has no effect: c.toml gives all of its settings",
+            "--profile gpu has no effect: c.toml gives all of its settings"
+        ]
+    );
+    assert_eq!(
+        told(&whole, &["preset=paper"], &[]),
+        ["--set preset=paper has no effect: c.toml gives all of its settings"]
+    );
+    assert_eq!(
+        told("", &["algorithm=mat", "seed=3"], &[("algorithm", "mappo")]),
+        ["--set algorithm=mat has no effect: --algorithm is given, too"]
+    );
+    let some = [("preset", "steering"), ("profile", "workstation")];
+    assert!(told("ppo.gamma = 0.5\ntrain.envs = 3", &["seed=3"], &some).is_empty());
+    // These are the settings that profiles change.
+    let mut changed = BTreeSet::new();
+    for profile in &PROFILES {
+        let origins = layers_on("intersection", "", &[&format!("profile={}", profile.name)])
+            .resolve()
+            .unwrap()
+            .origins;
+        let of_profile =
+            origins.into_iter().filter(|(_, from)| *from == Origin::Profile(profile.name));
+        changed.extend(of_profile.map(|(key, _)| key));
+    }
+    assert!(changed.iter().eq(Profile::SETTINGS), "{changed:?}");
 }
 
 #[test]
