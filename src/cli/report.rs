@@ -10,7 +10,7 @@ use crate::plot::Format;
 use crate::report;
 use crate::sweep::Sweep;
 
-use super::{Verdict, program};
+use super::{Verdict, program, word};
 
 /// Writes the results of a sweep as tables and figures in Markdown, HTML and JSON, from the files
 /// of its runs. The sweep may still be running.
@@ -41,7 +41,8 @@ fn format() -> impl TypedValueParser<Value = Format> {
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.runs)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("results").join(&sweep.name));
-    let command = format!("{0} sweep {1}\n{0} report {1}", program(), args.file.display());
+    let file = word(&args.file);
+    let command = format!("{0} sweep {file}\n{0} report {file}", program());
     for path in report::write(&sweep, &command, &out, args.figures)? {
         tell!("{}", path.display());
     }

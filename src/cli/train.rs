@@ -123,7 +123,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         bail!(why);
     }
     let first = ranks.rank() == 0;
-    for line in config::unread(&given.set, &config.algorithm).into_iter().filter(|_| first) {
+    for line in config::unread(&given.set, &config).into_iter().filter(|_| first) {
         say!("{line}");
     }
     for line in config::without_effect(&given.set, place.scenario()).into_iter().filter(|_| first) {
@@ -252,11 +252,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         ppo.minibatch,
         counted(ppo.shards, "shard"),
         String::from(config.device),
-        if args.resume {
-            String::new()
-        } else {
-            format!(" (defaults for the profile {})", profile.name)
-        }
+        if args.resume { String::new() } else { format!(" (profile {})", profile.name) }
     );
     let (exploration, annealing) =
         (config.learner.exploration.explore_steps, config.train.anneal_steps);

@@ -1,10 +1,13 @@
 //! Which settings can be used to train, to evaluate a policy, and to start from a policy.
 
+use toml::{Table, Value};
+
 use super::origin::{Origin, Origins};
 use super::presets::Preset;
 use super::profiles::Profile;
 use super::{Config, Layers, flatten, full_name};
-use crate::algo;
+use crate::algo::settings::{EncoderKind, NoiseMode};
+use crate::algo::{self, Settings};
 use crate::env::NamedEnvironment;
 use crate::scenario::{self, Scenario};
 
@@ -26,8 +29,10 @@ pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
     Some(format!("{set}: has no effect in an evaluation: {where_from}"))
 }
 
-/// Returns which of the settings of `--set` an algorithm does not read, each with the reason.
-pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
+/// Returns which of the settings of `--set` a training does not read, because of its algorithm or of
+/// other settings, each with the reason.
+pub fn unread(sets: &[String], config: &Config) -> Vec<String> {
+    let algorithm = &config.algorithm;
     let Ok(method) = algo::capabilities(algorithm) else { return Vec::new() };
     let reason = |set: &String| {
         let key = set.split_once('=')?.0.trim();
@@ -38,7 +43,10 @@ pub fn unread(sets: &[String], algorithm: &str) -> Vec<String> {
                 "does not read it"
             }
             _ if method.unread.contains(&full_name(key)) => "does not read it",
-            _ => return None,
+            _ => {
+                let (_, why) = config.idle().find(|(idle, _)| *idle == key)?;
+                return Some(format!("--set {set} has no effect: {why}"));
+            }
         };
         Some(format!("--set {set} has no effect: {algorithm} {why}"))
     };
@@ -100,11 +108,33 @@ pub fn overruled(layers: &Layers, origins: &Origins) -> Vec<String> {
 }
 
 impl Config {
+    /// Returns the settings that others make ineffective, each with the reason.
+    fn idle(&self) -> impl Iterator<Item = (&'static str, &'static str)> {
+        let Settings { network, exploration, ppo, .. } = &self.learner;
+        let is_learned = exploration.mode == NoiseMode::Learned;
+        let learned = "exploration.mode is learned";
+        [
+            (
+                "network.chunk_length",
+                network.encoder != EncoderKind::Gru,
+                "network.encoder is not gru",
+            ),
+            ("exploration.log_std_end", is_learned, learned),
+            ("ppo.learning_rate_follows_noise", is_learned, learned),
+            ("ppo.entropy_end", ppo.entropy_coefficient == 0.0, "ppo.entropy_coefficient is 0"),
+        ]
+        .into_iter()
+        .filter_map(|(key, idle, why)| idle.then_some((key, why)))
+    }
+
     /// Returns the settings that the algorithm reads, as TOML: two trainings with the same ones are
     /// the same.
     pub fn read_settings(&self) -> String {
-        let mut table = toml::from_str(&self.to_toml()).expect("settings are TOML");
+        let mut table: Table = toml::from_str(&self.to_toml()).expect("settings are TOML");
         super::remove_untold(&mut table, &self.algorithm);
+        for (group, name) in self.idle().filter_map(|(key, _)| key.split_once('.')) {
+            table.get_mut(group).and_then(Value::as_table_mut).map(|group| group.remove(name));
+        }
         if algo::capabilities(&self.algorithm).is_ok_and(|method| !method.messages) {
             table.remove("channel");
         }
@@ -143,11 +173,25 @@ impl Config {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
+
+    fn config(sets: &[&str]) -> Config {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenarios/intersection.xml");
+        let layers = Layers {
+            sets: sets.iter().map(|set| (*set).to_owned()).collect(),
+            flags: vec![("scenario", Value::String(file.display().to_string()))],
+            ..Layers::default()
+        };
+        Config::resolve(&layers).expect("settings").0
+    }
 
     #[test]
     fn settings_that_a_method_does_not_read_are_told() {
-        let told = |algorithm: &str, set: &str| unread(&[set.to_owned()], algorithm);
+        let told = |algorithm: &str, set: &str| {
+            unread(&[set.to_owned()], &config(&[&format!("algorithm={algorithm}")]))
+        };
         assert_eq!(
             told("im-iwol", "channel.loss=1"),
             ["--set channel.loss=1 has no effect: im-iwol sends no messages through a channel"]
@@ -173,6 +217,32 @@ mod tests {
         ] {
             assert!(told(algorithm, set).is_empty(), "{algorithm} {set}");
         }
+    }
+
+    #[test]
+    fn settings_that_others_make_ineffective_are_told() {
+        let told = |others: &[&str], set: &str| unread(&[set.to_owned()], &config(others));
+        assert_eq!(
+            told(&["network.encoder=mlp"], "network.chunk_length=4"),
+            ["--set network.chunk_length=4 has no effect: network.encoder is not gru"]
+        );
+        assert!(told(&["network.encoder=gru"], "network.chunk_length=4").is_empty());
+        for (others, set) in [
+            (["ppo.entropy_coefficient=0", "ppo.entropy_coefficient=0.01"], "ppo.entropy_end=0.5"),
+            (
+                ["exploration.mode=learned", "exploration.mode=schedule"],
+                "exploration.log_std_end=-3",
+            ),
+            (
+                ["exploration.mode=learned", "exploration.mode=schedule"],
+                "ppo.learning_rate_follows_noise=false",
+            ),
+        ] {
+            assert_eq!(others.map(|other| told(&[other], set).len()), [1, 0], "{set}");
+        }
+        let [one, other] = ["network.chunk_length=4", "network.chunk_length=8"]
+            .map(|set| config(&["network.encoder=mlp", set]).read_settings());
+        assert_eq!(one, other, "the same training");
     }
 
     #[test]

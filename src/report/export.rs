@@ -23,7 +23,7 @@ pub(super) fn summary(sweep: &Sweep, blocks: &[Block<'_>], command: &str) -> Str
                     let trained = cell.trained();
                     rows.push(json!({
                         "evaluation": block.evaluate.name, "series": line.label, "x": block.x, "at": category,
-                        "cell": cell.id, "algorithm": cell.config.algorithm, "agents": cell.config.agents,
+                        "cell": cell.id, "algorithm": cell.config.algorithm, "agents": found.agents,
                         "seed": cell.config.seed, "episodes": found.episodes,
                         "training_steps": trained.as_ref().map(|t| t.steps),
                         "training_seconds": trained.map(|t| t.seconds), "run": training(cell, Some(found)),

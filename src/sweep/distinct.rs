@@ -19,7 +19,7 @@ pub(super) fn check_distinct(cells: &[Cell]) -> Result<(), String> {
             cell.values.iter().filter(differs).map(|(key, _)| key.as_str()).collect();
         let algorithm = &cell.config.algorithm;
         return Err(format!(
-            "[grid]: the cells {} and {} are the same training, because {algorithm} does not read {}; leave one of them out with [[skip]], e.g. when = {{ algorithm = \"{algorithm}\", {} }}",
+            "[grid]: the cells {} and {} are the same training, because {algorithm} with these settings does not read {}; leave one of them out with [[skip]], e.g. when = {{ algorithm = \"{algorithm}\", {} }}",
             other.id,
             cell.id,
             keys.join(" and "),

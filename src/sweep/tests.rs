@@ -329,7 +329,7 @@ fn mistakes_are_named() {
     assert!(message(("seed = [0, 1]", "seed = [1, 1]")).contains("two cells are called"));
     let alike = message(("seed = [0, 1]", "\"iwol.latent\" = [8, 16]"));
     assert!(
-        alike.contains("mappo_agents=4_latent=8 and mappo_agents=4_latent=16 are the same training, because mappo does not read iwol.latent"),
+        alike.contains("mappo_agents=4_latent=8 and mappo_agents=4_latent=16 are the same training, because mappo with these settings does not read iwol.latent"),
         "{alike}"
     );
     assert!(message(("name = \"range\"", "episodes = 0")).contains("1 or more episodes"));

@@ -75,8 +75,19 @@ impl Setup {
             );
         }
         if checkpoint.is_some() {
-            for line in config::unread(&args.set, &config.algorithm) {
+            for line in config::unread(&args.set, &config) {
                 say!("{line}");
+            }
+        }
+        if checkpoint.is_none() {
+            // An ONNX file contains its policy's settings.
+            let of_task =
+                |key: &str| ["scenario", "simulation", "environment", "agents"].contains(&key);
+            for set in &args.set {
+                let group = set.split(['=', '.']).next().unwrap_or_default().trim();
+                if !of_task(group) {
+                    say!("--set {set} has no effect: no policy of a run is evaluated");
+                }
             }
         }
         for line in config::without_effect(&args.set, place.scenario()) {
