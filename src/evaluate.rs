@@ -71,6 +71,12 @@ impl Evaluation {
         let Self { episodes, windows, reconstruction, message_bits, own } = self;
         Metrics::of(own, episodes, windows, reconstruction, message_bits)
     }
+
+    /// Returns the indices of the episodes in which not every agent succeeded, in order.
+    pub fn failed_episodes(&self) -> Vec<u64> {
+        let failed = |record: &&EpisodeRecord| record.success().is_some_and(|share| share < 1.0);
+        self.episodes.iter().filter(failed).map(|record| record.episode).collect()
+    }
 }
 
 /// The observer of an evaluation: can stop it, and gets its progress and its episodes.

@@ -75,6 +75,7 @@ pub(crate) fn evaluate(
         seed,
         program: Program::current(),
         metrics,
+        failed_episodes: evaluation.failed_episodes(),
         ..EvaluationResult::default()
     };
     let failed = |error: serde_json::Error| exception(py, "Error", error.to_string());

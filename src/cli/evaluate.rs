@@ -215,6 +215,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             program: program.clone(),
             run: setup.training.clone().filter(|_| of_run(number)),
             metrics,
+            failed_episodes: evaluation.failed_episodes(),
         });
     }
     let json = match &rows[..] {

@@ -41,6 +41,9 @@ pub struct EvaluationResult {
     pub run: Option<Training>,
     /// The metrics.
     pub metrics: Metrics,
+    /// Indices of the episodes in which not every agent succeeded, in order.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub failed_episodes: Vec<u64>,
 }
 
 impl EvaluationResult {

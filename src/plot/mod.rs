@@ -225,8 +225,11 @@ impl Drawing for Figure<'_> {
         let bottom = legend.draw(canvas)?;
         let places = canvas.clone().margin(top, height as i32 - bottom, 0, 0);
         let places = places.split_evenly(self.shape());
-        for (place, panel) in places.iter().zip(self.panels) {
-            chart::draw(canvas, place, panel, &|label| legend.color(label))?;
+        for (number, (place, panel)) in places.iter().zip(self.panels).enumerate() {
+            // Rows are apart, so that a heading is not taken for a label of the axis above it.
+            let above = if number < self.shape().1 { 0 } else { px(20) };
+            let place = place.clone().margin(above, 0, 0, 0);
+            chart::draw(canvas, &place, panel, &|label| legend.color(label))?;
         }
         canvas.present()
     }

@@ -66,6 +66,35 @@ fn a_recorded_episode_plays_in_a_browser() {
     assert_eq!(std::fs::read(&recording).expect("written"), before);
 }
 
+/// An evaluation lists the episodes in which not every agent succeeded, and a recording of one of them
+/// shows a failure.
+#[test]
+fn failed_episodes_are_listed_for_recordings() {
+    let folder = folder();
+    let path = |name: &str| folder.path().join(name).display().to_string();
+    let (json, recording) = (path("e.json"), path("r.json"));
+    let evaluate = ["evaluate", "--policy", "uniform", "--policy", "sumo"];
+    let task = ["--scenario", INTERSECTION, "--agents", "8", "--episodes", "6", "--out", &json];
+    let said = text(&succeeds(iwol(&evaluate).args(task)).stdout);
+    let found: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&json).expect("written")).expect("JSON");
+    let failed: Vec<u64> =
+        serde_json::from_value(found[0]["failed_episodes"].clone()).expect("some");
+    let list = failed.iter().map(u64::to_string).collect::<Vec<_>>().join(", ");
+    assert!(
+        said.contains(&format!("failures of uniform: in {} of 6 episodes: {list}", failed.len()))
+    );
+    assert!(found[1]["failed_episodes"].is_null() && !said.contains("failures of sumo: in"));
+
+    let last = failed.last().expect("a failure").to_string();
+    let recorded = ["--record", &recording, "--record-episode", &last];
+    succeeds(iwol(&evaluate).args(task).args(recorded));
+    let recorded: serde_json::Value =
+        serde_json::from_str(&std::fs::read_to_string(&recording).expect("written")).expect("JSON");
+    let success = recorded["summary"]["success"].as_f64().expect("a share");
+    assert!(success < 1.0, "{success}");
+}
+
 /// The rewards of a recording add up to the reward of the episode.
 #[test]
 fn a_recording_says_what_the_evaluation_says() {

@@ -35,6 +35,22 @@ fn describe(Knowledge { name, error, explained, probe }: &Knowledge) -> String {
     )
 }
 
+/// Lists the episodes in which not every agent succeeded, for `--record-episode`; `None` without
+/// any.
+fn failed_episodes(row: &EvaluationResult) -> Option<String> {
+    const SHOWN: usize = 12;
+    let failed = &row.failed_episodes;
+    let shown: Vec<String> = failed.iter().take(SHOWN).map(u64::to_string).collect();
+    let first = shown.first()?;
+    let more = if failed.len() > SHOWN { ", …" } else { "" };
+    Some(format!(
+        "in {} of {}: {}{more} (to record one: --record FILE --record-episode {first})",
+        failed.len(),
+        counted(row.episodes, "episode"),
+        shown.join(", ")
+    ))
+}
+
 /// Formats all policies side by side: one metric per line, with mean and 95 % interval per policy.
 pub(super) fn table(rows: &[EvaluationResult]) -> String {
     // Counts of vehicles or pedestrians that are always 0, and the effects on them, are left out.
@@ -105,6 +121,9 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
     }
     let driving = || rows.iter().filter_map(|row| Some((row, row.metrics.driving.as_ref()?)));
     for (row, metrics) in driving() {
+        if let Some(episodes) = failed_episodes(row) {
+            let _ = writeln!(text, "failures of {}: {episodes}", row.policy);
+        }
         for line in metrics.failures.describe() {
             let _ = writeln!(text, "failures of {}: {line}", row.policy);
         }
