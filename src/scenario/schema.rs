@@ -108,8 +108,12 @@ impl Kind {
             Self::Choice(words) => words.iter().any(|word| word == value),
             Self::List { item, most } => {
                 let count = value.split_whitespace().count();
+                // No id of SUMO contains a comma, which is a mistyped separator.
+                let is_word = |value: &str| {
+                    !matches!(**item, Self::Text { .. }) || !value.contains([',', ';'])
+                };
                 (1..=most.unwrap_or(usize::MAX)).contains(&count)
-                    && value.split_whitespace().all(|value| item.accepts(value))
+                    && value.split_whitespace().all(|value| item.accepts(value) && is_word(value))
             }
             Self::Number { whole, least, above, most } => {
                 let value = value.trim();

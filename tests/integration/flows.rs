@@ -119,6 +119,7 @@ fn mistake(from: &str, to: &str) -> String {
 #[test]
 fn agents_that_the_files_do_not_have_are_refused() {
     insta::assert_snapshot!(mistake("types=\"car\"", "types=\"cra\""), @"task.xml:12:42: `cra` is not a valid types of <agents>, allowed: ids of vTypes or vTypeDistributions of vehicles in the files; did you mean `car`?");
+    insta::assert_snapshot!(mistake("types=\"car\"", "types=\"car, bus\""), @"task.xml:12:42: `car, bus` is not a valid types of <agents>, allowed: one or more words, separated by spaces");
     insta::assert_snapshot!(mistake("types=\"car\"", "vehicles=\"from_wst\""), @"task.xml:12:42: `from_wst` is not a valid vehicles of <agents>, allowed: ids of vehicles, trips and flows of vehicles in the files, or *; did you mean `from_west`?");
     insta::assert_snapshot!(mistake(" types=\"car\"", ""), @"task.xml:16:9: <net> lacks the element `spawn`");
     insta::assert_snapshot!(mistake("files=\"../sumo_nets/flow_cross/cars.rou.xml\" ", ""), @"task.xml:12:42: `car` is not a valid types of <agents>, allowed: no value unless <traffic> has the attribute `files`");
