@@ -28,18 +28,6 @@ pub(crate) enum Status {
     Wreck,
 }
 
-/// Where SUMO has an agent that steers.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub(crate) enum Track {
-    /// On its route.
-    #[default]
-    Route,
-    /// The vehicle has been beside its route, so that SUMO may have given it another.
-    Astray,
-    /// On no road of the net any more.
-    Lost,
-}
-
 /// A slot and its vehicle; empty by default.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Slot {
@@ -69,8 +57,9 @@ pub(crate) struct Slot {
     pub(crate) segment: usize,
     /// Whether SUMO has been given the vehicle and not yet been told to remove it.
     pub(crate) added: bool,
-    /// Where SUMO has the vehicle, if it steers.
-    pub(crate) track: Track,
+    /// Whether a vehicle that steers has been beside its route, or over a junction, so that SUMO may
+    /// have given it another route, or have it on no lane.
+    pub(crate) astray: bool,
     /// Pose that SUMO was last given for a vehicle that steers, with the speed that went with
     /// it \[m/s\].
     pub(crate) sent: Option<(Pose, f64)>,

@@ -1,9 +1,10 @@
 //! Motion of the agents: turns actions into SUMO's commands, and SUMO's snapshots into poses.
 
-use super::agents::{Slot, Status, Track};
+use super::agents::{Slot, Status};
 use super::geometry::Pose;
 use super::lane_routes::Side;
 use super::map::RoutePosition;
+use super::routes::RouteGeometry;
 use super::task::{Driver, Task};
 use super::vehicle::longitudinal;
 use crate::env::error::Error;
@@ -74,7 +75,7 @@ pub(super) fn act(
                             mode: ON_REQUEST,
                         });
                     }
-                } else if slot.track != Track::Lost {
+                } else {
                     move_to_pose(task, world, at, slot, commands);
                 }
             }
@@ -131,7 +132,8 @@ fn drive(
 
 /// Moves a vehicle that steers to its pose in SUMO. On its lane, SUMO keeps the vehicle on the
 /// centre line and is given the speed that takes it as far along the route as the pose is, because
-/// `moveToXY` takes SUMO many times longer. A vehicle that stands still needs no command.
+/// `moveToXY` takes SUMO many times longer. A vehicle that stands still needs no command, unless it
+/// has left its route: SUMO would remove it as arrived if it stood at the end of a lane.
 fn move_to_pose(
     task: &Task,
     world: u32,
@@ -140,18 +142,15 @@ fn move_to_pose(
     commands: &mut Vec<Command>,
 ) {
     let pose = vehicle.motion.pose;
-    if vehicle.sent == Some((pose, 0.0)) {
+    if vehicle.sent == Some((pose, 0.0)) && (!vehicle.astray || vehicle.status == Status::Wreck) {
         return;
     }
     let (sin, cos) = pose.heading.sin_cos();
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [pose.x + half * cos, pose.y + half * sin];
     let (place, s) = task.map.locate(vehicle.route, [x, y], vehicle.segment);
-    if place == RoutePosition::Beside {
-        vehicle.track = Track::Astray;
-    }
-    // After the vehicle was beside its route, SUMO may have given it another route.
-    let place = if vehicle.track == Track::Route { place } else { RoutePosition::Beside };
+    vehicle.astray |= place == RoutePosition::Beside;
+    let place = if vehicle.astray { RoutePosition::Beside } else { place };
     let distance = task.map.routes[vehicle.route].lanes().distance_of_arc(s);
     let held = vehicle.held.take().filter(|_| place != RoutePosition::Beside);
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
@@ -165,9 +164,7 @@ fn move_to_pose(
     }
     // Over a junction, SUMO may put the vehicle on another lane that lies there and take it on
     // along that lane, so that it has another route.
-    if place == RoutePosition::Junction {
-        vehicle.track = Track::Astray;
-    }
+    vehicle.astray |= place == RoutePosition::Junction;
     vehicle.held = Some(distance).filter(|_| place == RoutePosition::Road);
     let speed = vehicle.speed.max(0.0);
     vehicle.sent = Some((pose, speed));
@@ -206,14 +203,11 @@ pub(super) fn place(
             if slot.is_waiting() {
                 continue;
             }
-            if slot.departed
-                && steers
-                && (slot.track != Track::Route || slot.status == Status::Wreck)
-            {
-                // SUMO removes a vehicle that is off its route when the vehicle reaches the end of
-                // the road that it is on.
-                slot.track = Track::Lost;
-                slot.pose = slot.motion.pose;
+            if slot.departed && steers && (slot.astray || slot.status == Status::Wreck) {
+                // The vehicle is on no lane for SUMO. How far beyond the end of a road that begins
+                // depends on SUMO's version.
+                slot.age += 1;
+                take_own_pose(slot, route);
             } else if slot.departed && driver == Driver::Sumo && slot.status == Status::Wreck {
                 // With SUMO's driver, a wreck may reach the end of its route before it has
                 // stopped.
@@ -259,9 +253,7 @@ pub(super) fn place(
             slot.speed = vehicle.speed;
         }
         if steers {
-            slot.pose = slot.motion.pose;
-            (slot.s, slot.lateral, slot.segment) =
-                route.path.project(slot.pose.point(), slot.segment);
+            take_own_pose(slot, route);
             continue;
         }
         let half = slot.size[0] / 2.0;
@@ -286,6 +278,12 @@ pub(super) fn place(
         }
     }
     Ok(())
+}
+
+/// Puts an agent that steers where its own motion has taken it.
+fn take_own_pose(slot: &mut Slot, route: &RouteGeometry) {
+    slot.pose = slot.motion.pose;
+    (slot.s, slot.lateral, slot.segment) = route.path.project(slot.pose.point(), slot.segment);
 }
 
 /// Puts an agent that may change lanes where SUMO reports it, at the speed \[m/s\] with which SUMO

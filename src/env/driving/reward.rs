@@ -1,6 +1,6 @@
 //! How a step ends for each agent, and what it is rewarded with.
 
-use super::agents::{Outcome, Slot, Status, Track};
+use super::agents::{Outcome, Slot, Status};
 use super::collisions::Collisions;
 use super::surface::BESIDE;
 use super::task::{Driver, Task};
@@ -74,9 +74,6 @@ impl Rewards {
                 terminated[i] = 1.0;
                 slot.status = if outcome.arrived { Status::Empty } else { Status::Wreck };
                 slot.wreck_steps = wreck_steps;
-                if slot.track == Track::Lost {
-                    slot.status = Status::Empty;
-                }
                 slot.speed = 0.0;
                 slot.motion = Motion::at(slot.pose);
             }
@@ -91,7 +88,7 @@ impl Rewards {
 fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
     let route = &task.map.routes[slot.route];
     let out_of_road = if steers {
-        slot.track == Track::Lost || task.map.road().left_by(&slot.pose)
+        task.map.road().left_by(&slot.pose)
     } else {
         let lane = route.path.widths[slot.segment];
         slot.lateral.abs() > ((lane - slot.size[1]) / 2.0 - BORDER_MARGIN).max(0.0)

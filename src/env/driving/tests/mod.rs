@@ -6,6 +6,7 @@ mod blind;
 mod episodes;
 mod flow;
 mod intention;
+mod no_lane;
 mod observation;
 mod others;
 mod paths;
