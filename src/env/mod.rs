@@ -28,10 +28,10 @@ mod robotarium;
 mod spec;
 
 pub use driving::{
-    AgentView, Audit, BackgroundMetrics, Conflict, Driver, DrivingRecord, Failures, FlowMetrics,
-    MAX_TIME_APART, Map, Motion, OtherView, Outcome, Pose, Refused, Resets, RouteGeometry,
-    RoutePosition, Size, Task, Traffic, VecEnv, VecOptions, World, acceleration, advance,
-    boxes_overlap, physical_mask,
+    AgentView, Audit, BackgroundMetrics, BackgroundVehicle, Conflict, Driver, DrivingRecord,
+    Failures, FlowMetrics, MAX_TIME_APART, Map, Motion, Outcome, Pose, Refused, Resets,
+    RouteGeometry, RoutePosition, Size, Task, Traffic, VecEnv, VecOptions, World, acceleration,
+    advance, boxes_overlap, physical_mask,
 };
 pub use environment::{Environment, Stream, WorldPhase, WorldView, Worlds};
 pub use episode::WorldState;

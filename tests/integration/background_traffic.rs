@@ -7,7 +7,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use iwol_sumo::driving::Policy;
-use iwol_sumo::env::{EpisodeRecord, OtherView, Task, VecEnv, VecOptions, World, boxes_overlap};
+use iwol_sumo::env::{
+    BackgroundVehicle, EpisodeRecord, Task, VecEnv, VecOptions, World, boxes_overlap,
+};
 use iwol_sumo::evaluate::Evaluation;
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::scenario::{Demand, ObservationGroups, Scenario};
@@ -56,7 +58,7 @@ fn watch(
     seed: u64,
     steps: usize,
     backend: Backend,
-) -> Vec<(Vec<f32>, Vec<OtherView>)> {
+) -> Vec<(Vec<f32>, Vec<BackgroundVehicle>)> {
     let _turn = turn(backend);
     let mut env = VecEnv::new(task, &options(1, seed, backend)).expect("SUMO runs");
     let mut seen = Vec::new();
@@ -65,7 +67,10 @@ fn watch(
         let world = env.worlds().next().expect("one world");
         let frame = world.frame();
         let all = [&frame.observation, &frame.state, &frame.reward, &frame.comm, &frame.terminated];
-        seen.push((all.into_iter().flatten().copied().collect(), world.others().collect()));
+        seen.push((
+            all.into_iter().flatten().copied().collect(),
+            world.background_vehicles().collect(),
+        ));
     }
     seen
 }
@@ -80,7 +85,7 @@ fn pedestrians_walk_along_their_ways() {
     for _ in 0..900 {
         env.step(&[-1.0; 8]).expect("a step");
         let world = env.worlds().next().expect("one world");
-        let walkers: Vec<OtherView> = world.others().collect();
+        let walkers: Vec<BackgroundVehicle> = world.background_vehicles().collect();
         most = most.max(walkers.len());
         for walker in walkers {
             assert_eq!(walker.size, [0.215, 0.478]);
@@ -120,7 +125,7 @@ fn who_walks_the_same_way_is_one_stream() {
     let mut most = 0;
     for _ in 0..120 {
         env.step(&[-1.0; 8]).expect("a step");
-        most = most.max(env.worlds().next().expect("one world").others().count());
+        most = most.max(env.worlds().next().expect("one world").background_vehicles().count());
     }
     assert_eq!(most, 6, "they all walk");
 }
@@ -152,7 +157,7 @@ fn pedestrians_cross_the_ways_of_vehicles_and_are_hit_by_those_who_do_not_wait()
 fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
     let task = task_of("pedestrians_cross", |_| {});
     let mut env = VecEnv::new(&task, &options(1, 5, Backend::Traci)).expect("SUMO runs");
-    let (mut hit, mut lying) = (0, Vec::<OtherView>::new());
+    let (mut hit, mut lying) = (0, Vec::<BackgroundVehicle>::new());
     let mut throttle = 0.0;
     for k in 0..5000 {
         // Northbound vehicles drive, a little faster each time; all other vehicles stand.
@@ -165,7 +170,8 @@ fn a_pedestrian_that_was_hit_stands_until_it_is_cleared_away() {
             throttle = 0.18 + 0.01 * (k / 250) as f32;
         }
         let world = env.worlds().next().expect("one world");
-        let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
+        let wrecks: Vec<BackgroundVehicle> =
+            world.background_vehicles().filter(|other| other.wreck).collect();
         for old in &lying {
             let stays = wrecks.iter().find(|new| new.route == old.route);
             assert!(
@@ -272,7 +278,11 @@ fn goes_on(task: &Arc<Task>) {
         let (a, b) = (step(&mut env, task.agents), step(&mut resumed, task.agents));
         assert!(a == b);
         for (x, y) in env.worlds().zip(resumed.worlds()) {
-            assert!(x.frame() == y.frame() && x.others().eq(y.others()), "step {}", x.step_count());
+            assert!(
+                x.frame() == y.frame() && x.background_vehicles().eq(y.background_vehicles()),
+                "step {}",
+                x.step_count()
+            );
         }
     }
 }
@@ -307,7 +317,7 @@ fn others_are_seen_as_the_nearest_vehicles() {
     };
     let (task, world) = stand(nearest, 12);
     let own = world.agents().next().expect("an agent").pose;
-    let mut expected: Vec<OtherView> = world.others().collect();
+    let mut expected: Vec<BackgroundVehicle> = world.background_vehicles().collect();
     expected.sort_by(|a, b| own.distance(&a.pose).total_cmp(&own.distance(&b.pose)));
     let (sin, cos) = own.heading.sin_cos();
     for (token, other) in tokens(&task, &world, "neighbour").iter().zip(&expected) {
@@ -327,7 +337,7 @@ fn others_are_seen_as_the_nearest_vehicles() {
 fn others_are_seen_on_streams_and_as_encounters() {
     let (task, world) = stand(|s| s.observation.encounters = 3, 12);
     let own = world.agents().next().expect("an agent");
-    let others: Vec<OtherView> = world.others().collect();
+    let others: Vec<BackgroundVehicle> = world.background_vehicles().collect();
     for (stream, conflict) in task.map.routes[own.route].conflicts.iter().take(2).enumerate() {
         let mut ways: Vec<f64> = others
             .iter()
@@ -358,7 +368,7 @@ fn beams_end_at_others() {
     let own = world.agents().next().expect("an agent").pose;
     let seen: Vec<f32> = tokens(&task, &world, "lidar").iter().map(|token| token[0]).collect();
     let mut hits = 0;
-    for other in world.others() {
+    for other in world.background_vehicles() {
         let (dx, dy) = (other.pose.x - own.x, other.pose.y - own.y);
         let beam = ((dy.atan2(dx) - own.heading).rem_euclid(std::f64::consts::TAU)
             / std::f64::consts::TAU
@@ -386,7 +396,7 @@ fn others_wait_behind_agents_that_steer() {
         let world = env.worlds().next().expect("one world");
         let agents: Vec<_> = world.agents().collect();
         assert!(agents.iter().all(|agent| !agent.outcome.crashed), "seed {seed}: {agents:?}");
-        for other in world.others().filter(|other| other.speed < 0.1 && !other.wreck) {
+        for other in world.background_vehicles().filter(|other| other.speed < 0.1 && !other.wreck) {
             let (sin, cos) = other.pose.heading.sin_cos();
             let behind = agents.iter().any(|agent| {
                 let (dx, dy) = (agent.pose.x - other.pose.x, agent.pose.y - other.pose.y);
@@ -409,16 +419,18 @@ fn an_agent_that_hits_one_has_crashed_and_both_stand_as_wrecks() {
         env.step(&[1.0]).expect("a step");
         let finished = env.take_finished();
         let world = env.worlds().next().expect("one world");
-        let (agent, wrecks) =
-            (world.agents().next().expect("an agent"), world.others().filter(|o| o.wreck));
-        let wrecks: Vec<OtherView> = wrecks.collect();
+        let (agent, wrecks) = (
+            world.agents().next().expect("an agent"),
+            world.background_vehicles().filter(|o| o.wreck),
+        );
+        let wrecks: Vec<BackgroundVehicle> = wrecks.collect();
         if let Some(record) = finished.first() {
             let others = record.driving().others.expect("there are others");
             assert_eq!(record.driving().crash > 0.0, others.crash > 0.0, "it takes two");
             crashes += usize::from(record.driving().crash > 0.0);
             if record.driving().crash > 0.0 {
                 assert!(agent.outcome.crashed && record.driving().own_collisions > 0);
-                let hit = |other: &OtherView| {
+                let hit = |other: &BackgroundVehicle| {
                     let size =
                         [task.scenario.vehicle.length + 0.5, task.scenario.vehicle.width + 0.5];
                     boxes_overlap((&agent.pose, size), (&other.pose, other.size))
@@ -440,11 +452,12 @@ fn a_wreck_of_theirs_is_cleared_away() {
     let wreck_steps =
         (task.scenario.termination.wreck_time / task.scenario.control.interval).round() as usize;
     let mut env = VecEnv::new(&task, &options(1, 2, Backend::Traci)).expect("SUMO runs");
-    let (mut lives, mut last) = (Vec::new(), Vec::<(OtherView, usize)>::new());
+    let (mut lives, mut last) = (Vec::new(), Vec::<(BackgroundVehicle, usize)>::new());
     for _ in 0..2000 {
         env.step(&[1.0, -1.0]).expect("a step");
         let world = env.worlds().next().expect("one world");
-        let wrecks: Vec<OtherView> = world.others().filter(|other| other.wreck).collect();
+        let wrecks: Vec<BackgroundVehicle> =
+            world.background_vehicles().filter(|other| other.wreck).collect();
         let mut next = Vec::new();
         for wreck in &wrecks {
             let before = last
@@ -592,7 +605,10 @@ fn trips_take_the_routes_that_lead_there() {
     let mut env = VecEnv::new(&task, &options(1, 3, Backend::Traci)).expect("SUMO runs");
     env.step(&vec![-1.0; task.agents]).expect("a step");
     let routes = |world: &World| {
-        world.others().map(|other| task.map.route_id(other.route).to_owned()).collect::<Vec<_>>()
+        world
+            .background_vehicles()
+            .map(|other| task.map.route_id(other.route).to_owned())
+            .collect::<Vec<_>>()
     };
     let seen = routes(env.worlds().next().expect("one world"));
     assert!(

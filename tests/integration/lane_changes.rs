@@ -205,7 +205,7 @@ fn agents_of_route_files_change_lanes_or_are_left_out_with_a_hint() {
     for _ in 0..600 {
         env.step(&[-1.0]).expect("a step");
         let world = env.worlds().next().expect("one world");
-        furthest = world.others().map(|other| other.pose.x).fold(furthest, f64::max);
+        furthest = world.background_vehicles().map(|other| other.pose.x).fold(furthest, f64::max);
     }
     assert!(furthest > 420.0, "they pass the fork: {furthest}");
 }

@@ -282,7 +282,7 @@ fn the_leader_is_on_the_agents_lane() {
         let world = env.worlds().next().unwrap();
         let present = feature(&task, world, 0, "leader.present");
         assert_eq!(present, f32::from(u8::from(agent == car)), "agent {agent}, car {car}");
-        assert_eq!(world.others().count(), 1);
+        assert_eq!(world.background_vehicles().count(), 1);
     }
 }
 

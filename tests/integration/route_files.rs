@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use iwol_sumo::env::{OtherView, Task, VecEnv};
+use iwol_sumo::env::{BackgroundVehicle, Task, VecEnv};
 use iwol_sumo::scenario::{FileTime, Scenario, Severity};
 use iwol_sumo::sumo::{Backend, Hosting};
 
@@ -26,7 +26,7 @@ fn scenario(folder: &Path, traffic: &str, elements: &str) -> PathBuf {
 }
 
 /// Returns the background vehicles after each step in which the agents stand.
-fn watch(path: &Path, steps: usize, backend: Backend) -> Vec<Vec<OtherView>> {
+fn watch(path: &Path, steps: usize, backend: Backend) -> Vec<Vec<BackgroundVehicle>> {
     let _turn = turn(backend);
     let task = Arc::new(Task::new(&Scenario::load(path).expect("a scenario"), 4).expect("a task"));
     let hosting = Hosting { backend, ..Hosting::default() };
@@ -34,7 +34,7 @@ fn watch(path: &Path, steps: usize, backend: Backend) -> Vec<Vec<OtherView>> {
     let mut seen = Vec::new();
     for _ in 0..steps {
         env.step(&vec![-1.0; task.agents]).expect("a step");
-        seen.push(env.worlds().next().expect("one world").others().collect());
+        seen.push(env.worlds().next().expect("one world").background_vehicles().collect());
     }
     seen
 }

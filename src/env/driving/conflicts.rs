@@ -56,7 +56,7 @@ struct Touch {
 }
 
 /// Two paths, or a path and itself.
-pub(super) struct Pair<'a> {
+pub(super) struct PathPair<'a> {
     pub(super) levels: &'a Levels<'a>,
     pub(super) own: &'a Path,
     pub(super) other: &'a Path,
@@ -68,7 +68,7 @@ pub(super) struct Pair<'a> {
     pub(super) size: Size,
 }
 
-impl Pair<'_> {
+impl PathPair<'_> {
     /// Returns the conflicts, in driving order of the first path, and adds to `bridges` where the
     /// path of route number `route`, the second one, passes over or under the first. `around`:
     /// whether one of the paths has a detour.
@@ -119,7 +119,7 @@ impl Pair<'_> {
     /// Returns where the second path crosses or touches segment number `i` of the first, outside
     /// the lanes that both use.
     fn touches(&self, i: usize) -> Vec<Touch> {
-        let Pair { own, other, shared, same, .. } = *self;
+        let PathPair { own, other, shared, same, .. } = *self;
         let [a, b] = [own.points[i - 1], own.points[i]];
         let touch = |j: usize| {
             let ends = [other.cumulative[j - 1], other.cumulative[j]];
@@ -163,7 +163,7 @@ impl Pair<'_> {
     /// Returns where the centre lines of two routes that share no lane are so close that vehicles
     /// in a curve would touch, nearest first.
     fn near_misses(&self) -> Vec<(f64, f64)> {
-        let Pair { own, other, .. } = *self;
+        let PathPair { own, other, .. } = *self;
         if self.same || !self.shared.is_empty() || own.lanes.is_empty() || other.lanes.is_empty() {
             return Vec::new();
         }
@@ -261,9 +261,9 @@ impl Pair<'_> {
 
 /// The conflicts of two paths that have been found so far.
 struct Found<'a> {
-    pair: &'a Pair<'a>,
+    pair: &'a PathPair<'a>,
     places: Vec<Place>,
-    /// The [`Pair::band`] of each conflict, and of each fork of the paths.
+    /// The [`PathPair::band`] of each conflict, and of each fork of the paths.
     bands: Vec<Vec<(f64, f64, f64)>>,
     /// Whether `bands` contains those of the forks.
     forked: bool,
@@ -317,10 +317,10 @@ impl Found<'_> {
 /// `own`, as positions on `own` and `other`. Such paths may come near each other several times.
 /// Each stretch on which vehicles of this size would touch gives the place where the paths are
 /// nearest and, if the stretch is long, further places before and behind it.
-fn conflicts_around(pair: &Pair<'_>) -> Vec<Place> {
+fn conflicts_around(pair: &PathPair<'_>) -> Vec<Place> {
     /// Distance between the places of one stretch, in steps of [`STEP`].
     const SPACING: usize = (4.0 / STEP) as usize;
-    let Pair { own, other, shared, size, .. } = *pair;
+    let PathPair { own, other, shared, size, .. } = *pair;
     let diagonal = size[0].hypot(size[1]);
     let reach = (diagonal / STEP) as i32;
     // `stretch` holds the gaps and places of the current stretch. A stretch that begins at a fork

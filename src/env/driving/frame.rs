@@ -82,7 +82,7 @@ impl AgentView {
 
 /// A background vehicle as an observer sees it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct OtherView {
+pub struct BackgroundVehicle {
     /// Whether the vehicle is a wreck.
     pub wreck: bool,
     /// Pose of the vehicle's centre.
@@ -97,7 +97,7 @@ pub struct OtherView {
     pub speed: f64,
 }
 
-impl OtherView {
+impl BackgroundVehicle {
     pub(super) fn new(slot: &Slot) -> Self {
         Self {
             wreck: slot.status == Status::Wreck,

@@ -55,13 +55,13 @@ pub use comm::physical_mask;
 pub use effects::MAX_TIME_APART;
 
 pub use failures::Failures;
-pub use frame::{AgentView, OtherView};
+pub use frame::{AgentView, BackgroundVehicle};
 pub use geometry::{Pose, Size, boxes_overlap};
 pub use map::{Map, RoutePosition};
 pub use metrics::{BackgroundMetrics, DrivingRecord};
 
 pub use refusals::Refused;
-pub use routes::{Conflict, RouteGeometry, Strip};
+pub use routes::{Conflict, OpposingStretch, RouteGeometry};
 pub use task::{Driver, Task};
 pub use traffic::Traffic;
 pub use trips::FlowMetrics;

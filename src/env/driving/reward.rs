@@ -88,7 +88,7 @@ impl Rewards {
 fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
     let route = &task.map.routes[slot.route];
     let out_of_road = if steers {
-        task.map.road().left_by(&slot.pose)
+        task.map.road().is_off_road(&slot.pose)
     } else {
         let lane = route.path.widths[slot.segment];
         slot.lateral.abs() > ((lane - slot.size[1]) / 2.0 - BORDER_MARGIN).max(0.0)

@@ -4,7 +4,7 @@
 use std::collections::{BTreeSet, HashMap};
 
 use super::geometry::{Pose, Size, Stance, stretch};
-use super::surface::{BESIDE, End, Point, Strip, draw_lines, lay_lanes};
+use super::surface::{BESIDE, End, LaneSegment, Point, draw_lines, lay_lanes};
 use crate::env::error::Error;
 use crate::scenario::{Border, Termination};
 use crate::sumo::net::Net;
@@ -23,7 +23,7 @@ const TOUCH: f64 = 0.035;
 
 #[derive(Debug, Clone, Default)]
 struct Cell {
-    strips: Vec<u32>,
+    lanes: Vec<u32>,
     lines: Vec<u32>,
     ends: Vec<u32>,
 }
@@ -31,7 +31,7 @@ struct Cell {
 /// The lanes and lines of a net, indexed by place.
 #[derive(Debug, Clone)]
 pub(super) struct Road {
-    strips: Vec<Strip>,
+    lanes: Vec<LaneSegment>,
     ends: Vec<End>,
     /// Lines that end the road: a vehicle that touches one is off-road.
     lines: Vec<[Point; 2]>,
@@ -55,9 +55,9 @@ impl Road {
         [length, width]: Size,
         termination: &Termination,
     ) -> Result<Self, Error> {
-        let (strips, ends) = lay_lanes(net);
+        let (lanes, ends) = lay_lanes(net);
         let mut road = Self {
-            strips,
+            lanes,
             ends,
             lines: draw_lines(net, termination),
             cells: HashMap::new(),
@@ -66,7 +66,7 @@ impl Road {
             half: [length / 2.0 + TOUCH, width / 2.0 + TOUCH],
             border: termination.border,
         };
-        let lengths = road.strips.iter().map(|strip| &strip.ends).chain(&road.lines);
+        let lengths = road.lanes.iter().map(|segment| &segment.ends).chain(&road.lines);
         let metres: f64 = lengths.map(|[a, b]| (b[0] - a[0]).hypot(b[1] - a[1])).sum();
         if metres.is_nan() || metres > LONGEST {
             return Err(Error::Long {
@@ -75,10 +75,10 @@ impl Road {
                 limit: LONGEST,
             });
         }
-        for i in 0..road.strips.len() {
-            let Strip { ends, half, .. } = road.strips[i];
+        for i in 0..road.lanes.len() {
+            let LaneSegment { ends, half, .. } = road.lanes[i];
             for cell in cells_along(ends, half + BESIDE) {
-                road.cells.entry(cell).or_default().strips.push(i as u32);
+                road.cells.entry(cell).or_default().lanes.push(i as u32);
             }
         }
         for i in 0..road.ends.len() {
@@ -110,8 +110,8 @@ impl Road {
         let mut reached = if self.border == Border::Kerb { 0.0 } else { range };
         while reached < range {
             let at = [from[0] + reached * along[0], from[1] + reached * along[1]];
-            let strips = self.cells.get(&cell_of(at)).map_or(&[][..], |cell| &cell.strips);
-            let exits = strips.iter().filter_map(|&i| self.strips[i as usize].exit(at, along));
+            let lanes = self.cells.get(&cell_of(at)).map_or(&[][..], |cell| &cell.lanes);
+            let exits = lanes.iter().filter_map(|&i| self.lanes[i as usize].exit(at, along));
             let further = exits.fold(0.0, f64::max);
             // A step this small could be lost in rounding, and the loop would not end.
             if further < 1e-9 {
@@ -176,7 +176,7 @@ impl Road {
 
     /// Returns whether a vehicle is off-road: it touches a line, its centre is on no lane, or
     /// (with [`Border::Kerb`]) a part of it is beyond the kerb.
-    pub(super) fn left_by(&self, pose: &Pose) -> bool {
+    pub(super) fn is_off_road(&self, pose: &Pose) -> bool {
         let Some(cell) = self.cells.get(&cell_of([pose.x, pose.y])) else { return true };
         let (sin, cos) = pose.heading.sin_cos();
         let part = |along: f64, across: f64| {
@@ -198,8 +198,8 @@ impl Road {
 
     /// Returns whether a point counts as on any lane.
     pub(super) fn on_lane(&self, point: Point) -> bool {
-        let strips = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.strips);
-        strips.iter().any(|&i| self.strips[i as usize].covers(point))
+        let lanes = self.cells.get(&cell_of(point)).map_or(&[][..], |cell| &cell.lanes);
+        lanes.iter().any(|&i| self.lanes[i as usize].covers(point))
     }
 
     /// Returns whether a point is beyond the end of a road, where there is no kerb and a vehicle

@@ -2,7 +2,7 @@
 
 use super::agents::CLEARED;
 use super::area::{self, Stretch};
-use super::conflicts::{Bridge, Pair, Place};
+use super::conflicts::{Bridge, PathPair, Place};
 use super::geometry::{Pose, Size, boxes_overlap};
 use super::levels::Levels;
 use super::shared::{STEP, Shared};
@@ -30,11 +30,11 @@ pub struct RouteGeometry {
     /// Other routes without a conflict with this one.
     pub apart: Vec<usize>,
     /// Conflicts with every route, in the order in which they lie along this route: those of
-    /// [`RouteGeometry::conflicts`], and further places of strips that both paths use in opposite
+    /// [`RouteGeometry::conflicts`], and further places of stretches that both paths use in opposite
     /// directions.
     by_route: Vec<Vec<Conflict>>,
-    /// For every route, the strips that both use in opposite directions.
-    strips: Vec<Vec<Strip>>,
+    /// For every route, the stretches that both use in opposite directions.
+    opposing: Vec<Vec<OpposingStretch>>,
     /// For every route, the stretches that it shares with this one.
     shared: Vec<Vec<Shared>>,
     /// Where other paths pass over or under this one.
@@ -60,19 +60,19 @@ pub struct Conflict {
     pub other_area: Stretch,
 }
 
-/// A strip that two routes use in opposite directions, such as a lane for both directions of a road:
+/// A stretch that two routes use in opposite directions, such as a lane for both directions of a road:
 /// where a vehicle on each of them enters and leaves it \[m\]. Outside, the vehicles have room
 /// beside each other.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Strip {
+pub struct OpposingStretch {
     /// Where a vehicle on this route enters and leaves.
     pub own: [f64; 2],
     /// Where a vehicle on the other route enters and leaves.
     pub other: [f64; 2],
 }
 
-impl Strip {
-    /// Returns the strip between two conflicts of the paths, for vehicles of this width \[m\].
+impl OpposingStretch {
+    /// Returns the stretch between two conflicts of the paths, for vehicles of this width \[m\].
     fn between(path: &Path, other: &Path, [first, last]: [Conflict; 2], width: f64) -> Self {
         /// Distance between vehicles that pass each other \[m\].
         const BESIDE: f64 = 0.3;
@@ -167,9 +167,9 @@ impl RouteGeometry {
         self.by_route[route].iter().find(ahead).copied()
     }
 
-    /// Returns the strips that this route and `route` use in opposite directions.
-    pub fn opposing_strips(&self, route: usize) -> &[Strip] {
-        &self.strips[route]
+    /// Returns the stretches that this route and `route` use in opposite directions.
+    pub fn opposing_stretches(&self, route: usize) -> &[OpposingStretch] {
+        &self.opposing[route]
     }
 
     /// Returns the distance from `s` to the first point of the group of conflicts that the vehicle
@@ -215,11 +215,11 @@ pub(super) fn geometry(
     let path = &paths[a];
     let arrival = path.edges.len().checked_sub(1).and_then(|last| path.arc(last, arrival_pos));
     let arrival = arrival.unwrap_or_else(|| path.length());
-    let (mut by_route, mut shared, mut strips) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut by_route, mut shared, mut opposing) = (Vec::new(), Vec::new(), Vec::new());
     let (mut conflicts, mut bridges) = (Vec::new(), Vec::new());
     for (b, other) in paths.iter().enumerate() {
         let stretches = shared_stretches(path, other, a == b);
-        let pair = Pair { levels, own: path, other, shared: &stretches, same: a == b, size };
+        let pair = PathPair { levels, own: path, other, shared: &stretches, same: a == b, size };
         let met = pair.meet(b, a != b && (detoured[a] || detoured[b]), &mut bridges);
         let conflict = |place: &Place| {
             let [own_area, other_area] =
@@ -239,7 +239,8 @@ pub(super) fn geometry(
             all.chunk_by(|one, next| next.other < one.other && next.own - one.own <= ROOM);
         let ends =
             opposing.filter(|part| part.len() > 1).map(|part| [part[0], part[part.len() - 1]]);
-        strips.push(ends.map(|ends| Strip::between(path, other, ends, size[1])).collect());
+        opposing
+            .push(ends.map(|ends| OpposingStretch::between(path, other, ends, size[1])).collect());
         by_route.push(all);
         conflicts.extend(first);
     }
@@ -258,7 +259,7 @@ pub(super) fn geometry(
         conflicts,
         apart,
         by_route,
-        strips,
+        opposing,
         shared,
         bridges,
         groups,

@@ -34,7 +34,7 @@ pub(super) type Point = [f64; 2];
 
 /// A segment of a lane's centre line, with half the lane's width \[m\].
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Strip {
+pub(super) struct LaneSegment {
     pub(super) ends: [Point; 2],
     pub(super) half: f64,
     /// Whether the road ends at the first and at the second end. Where it does, no point beyond
@@ -42,7 +42,7 @@ pub(super) struct Strip {
     last: [bool; 2],
 }
 
-impl Strip {
+impl LaneSegment {
     /// Returns whether a point counts as on the lane.
     pub(super) fn covers(&self, point: Point) -> bool {
         let [a, b] = self.ends;
@@ -95,8 +95,8 @@ pub(super) struct End {
 
 /// Returns the lanes of a net, and the ends of roads: edges without an incoming or without an
 /// outgoing connection.
-pub(super) fn lay_lanes(net: &Net) -> (Vec<Strip>, Vec<End>) {
-    let (mut strips, mut road_ends) = (Vec::new(), Vec::new());
+pub(super) fn lay_lanes(net: &Net) -> (Vec<LaneSegment>, Vec<End>) {
+    let (mut lane_segments, mut road_ends) = (Vec::new(), Vec::new());
     let reached: HashSet<usize> = net.connections.iter().map(|join| join.to).collect();
     let left: HashSet<usize> = net.connections.iter().map(|join| join.from).collect();
     for edge in &net.edges {
@@ -111,11 +111,11 @@ pub(super) fn lay_lanes(net: &Net) -> (Vec<Strip>, Vec<End>) {
         for lane in net.lanes[edge.lanes.clone()].iter().filter(|lane| !lane.is_sidewalk()) {
             let half = lane.width / 2.0;
             let segments = lane.shape.len() - 1;
-            let strip = |(i, pair): (usize, &[Point])| {
+            let lane_segment = |(i, pair): (usize, &[Point])| {
                 let last = [begins && i == 0, ends && i + 1 == segments];
-                Strip { ends: [pair[0], pair[1]], half, last }
+                LaneSegment { ends: [pair[0], pair[1]], half, last }
             };
-            strips.extend(lane.shape.windows(2).enumerate().map(strip));
+            lane_segments.extend(lane.shape.windows(2).enumerate().map(lane_segment));
             let mut end = |at: Point, before: Point| {
                 let (dx, dy) = (at[0] - before[0], at[1] - before[1]);
                 let length = dx.hypot(dy).max(f64::MIN_POSITIVE);
@@ -129,7 +129,7 @@ pub(super) fn lay_lanes(net: &Net) -> (Vec<Strip>, Vec<End>) {
             }
         }
     }
-    (strips, road_ends)
+    (lane_segments, road_ends)
 }
 
 /// Lines that end the road, each with the lane beside which it lies, and its segment there.

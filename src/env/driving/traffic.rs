@@ -173,7 +173,7 @@ impl World {
                 _ => FigureStatus::Absent,
             },
         };
-        let others = self.others().map(|other| Figure {
+        let others = self.background_vehicles().map(|other| Figure {
             centre: other.pose.point(),
             heading: other.pose.heading,
             size: other.size,

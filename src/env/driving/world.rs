@@ -14,7 +14,7 @@ use std::sync::Arc;
 use super::agents::{Slot, Traffic};
 use super::background::Background;
 use super::collisions::Collisions;
-use super::frame::{AgentView, OtherView};
+use super::frame::{AgentView, BackgroundVehicle};
 use super::geometry::Pose;
 use super::intention::Intentions;
 use super::loitering::{self, Loitering};
@@ -165,9 +165,9 @@ impl World {
     }
 
     /// Returns views of the background traffic on the road.
-    pub fn others(&self) -> impl Iterator<Item = OtherView> + '_ {
+    pub fn background_vehicles(&self) -> impl Iterator<Item = BackgroundVehicle> + '_ {
         let slots = self.traffic.slots[self.task.agents..].iter();
-        slots.filter(|slot| slot.departed).map(OtherView::new)
+        slots.filter(|slot| slot.departed).map(BackgroundVehicle::new)
     }
 
     pub(crate) fn task(&self) -> &Task {

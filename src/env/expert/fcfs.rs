@@ -1,6 +1,6 @@
 //! The driver that gives way first come, first served: when it brakes.
 
-use crate::env::driving::Strip;
+use crate::env::driving::OpposingStretch;
 use crate::env::driving::agents::{NextSignal, Slot, Status, Traffic};
 use crate::env::driving::intention::Knowledge;
 use crate::env::driving::right_of_way::{Free, RESERVE, free, inherit, to_entry};
@@ -30,7 +30,7 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
         let space = (0..priorities.len()).fold(Free::ALL, seen);
         let rules = |j: usize| {
             let behind = behind_leader(knowledge, slot, j, hardest(&traffic.slots[j]));
-            before_strip(knowledge, &priorities, slot, j).min(behind)
+            before_opposing(knowledge, &priorities, slot, j).min(behind)
         };
         let others = (0..priorities.len()).filter(|&j| j != slot);
         let room = others.map(rules).fold(f64::INFINITY, f64::min);
@@ -67,20 +67,20 @@ fn behind_leader(knowledge: Knowledge<'_>, slot: usize, j: usize, brakes: f64) -
 }
 
 /// Returns how far the vehicle of `slot` can drive until it has to wait for the vehicle of slot `j`
-/// before a strip that both use in opposite directions, such as a lane for two directions \[m\]:
-/// for one that is on the strip, or comes to it with priority. Infinite if it need not wait.
-fn before_strip(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j: usize) -> f64 {
+/// before a stretch that both use in opposite directions, such as a lane for two directions \[m\]:
+/// for one that is on the stretch, or comes to it with priority. Infinite if it need not wait.
+fn before_opposing(knowledge: Knowledge<'_>, priorities: &[u32], slot: usize, j: usize) -> f64 {
     let (routes, slots) = (knowledge.routes, &knowledge.traffic.slots);
     let [own, other] = [slot, j].map(|slot| &slots[slot]);
     let [nose, other_nose] = [own, other].map(|slot| slot.s + slot.size[0] / 2.0);
-    let waits = |strip: &&Strip| {
-        let on_it = other_nose > strip.other[0];
-        let has_left = other.s - other.size[0] / 2.0 > strip.other[1];
-        nose < strip.own[0] && !has_left && (on_it || priorities[j] < priorities[slot])
+    let waits = |stretch: &&OpposingStretch| {
+        let on_it = other_nose > stretch.other[0];
+        let has_left = other.s - other.size[0] / 2.0 > stretch.other[1];
+        nose < stretch.own[0] && !has_left && (on_it || priorities[j] < priorities[slot])
     };
-    let strips = routes[own.route].opposing_strips(other.route);
-    let first = strips.iter().filter(|_| other.status != Status::Empty).find(waits);
-    first.map_or(f64::INFINITY, |strip| strip.own[0] - nose)
+    let stretches = routes[own.route].opposing_stretches(other.route);
+    let first = stretches.iter().filter(|_| other.status != Status::Empty).find(waits);
+    first.map_or(f64::INFINITY, |stretch| stretch.own[0] - nose)
 }
 
 #[cfg(test)]

@@ -28,12 +28,12 @@ fn a_vehicle_may_stray_as_far_as_measured() {
     let lane = &net.lanes[net.edges[edge].lanes.start];
     let y = lane.shape[0][1];
     let x = f64::midpoint(lane.shape[0][0], lane.shape[1][0]);
-    let left = |lateral: f64, heading: f64| road.left_by(&Pose { x, y: y + lateral, heading });
+    let left = |lateral: f64, heading: f64| road.is_off_road(&Pose { x, y: y + lateral, heading });
     for side in [-1.0, 1.0] {
         assert!(!left(side * 0.78, 0.0) && left(side * 0.80, 0.0));
     }
     assert!(!left(0.0, 0.3) && left(0.0, 0.6), "a vehicle across its lane touches the lines");
-    assert!(road.left_by(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
+    assert!(road.is_off_road(&Pose { x: 1e5, y: 0.0, heading: 0.0 }));
 }
 
 /// Where vehicles drive on the left, everything is as in the mirror.
@@ -114,7 +114,7 @@ fn no_line_crosses_a_path_over_the_junction() {
         for k in 0..=(path.length() / 0.5) as usize {
             let ([x, y], heading) = path.at(0.5 * k as f64);
             assert!(
-                !road.left_by(&Pose { x, y, heading }),
+                !road.is_off_road(&Pose { x, y, heading }),
                 "on the path from {from} to {to}, at {x} {y}"
             );
         }
@@ -142,7 +142,11 @@ fn kerbs_and_the_line_between_directions_border_a_parking_lot() {
     ];
     for (x, y, heading, by_kerbs, by_lines, what) in places {
         let pose = Pose { x, y, heading };
-        assert_eq!([kerbs.left_by(&pose), lines.left_by(&pose)], [by_kerbs, by_lines], "{what}");
+        assert_eq!(
+            [kerbs.is_off_road(&pose), lines.is_off_road(&pose)],
+            [by_kerbs, by_lines],
+            "{what}"
+        );
     }
 }
 
@@ -171,10 +175,10 @@ fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
     ];
     for (x, y, heading, out, what) in places {
         let pose = Pose { x, y, heading: f64::to_radians(heading) };
-        assert_eq!(measured.left_by(&pose), out, "{what}");
+        assert_eq!(measured.is_off_road(&pose), out, "{what}");
     }
     assert!(
-        whole.left_by(&Pose { x: 45.5, y: 1.75, heading: 0.0 }),
+        whole.is_off_road(&Pose { x: 45.5, y: 1.75, heading: 0.0 }),
         "a whole line must not be touched"
     );
     // The kerb is convex where the last space meets the curve out of the lot: there are poses
@@ -191,7 +195,7 @@ fn only_the_centre_counts_where_roads_end_and_sides_where_kerbs_are_convex() {
     let poses = (0..40)
         .flat_map(|i| (0..40).map(move |j| [38.0 + 0.1 * f64::from(i), 4.0 + 0.1 * f64::from(j)]));
     let poses = poses.map(|[x, y]| Pose { x, y, heading: -std::f64::consts::FRAC_PI_4 });
-    let hit = poses.filter(|pose| corners_only(pose) && measured.left_by(pose)).count();
+    let hit = poses.filter(|pose| corners_only(pose) && measured.is_off_road(pose)).count();
     assert!(hit > 0, "no side meets the kerb first");
 }
 

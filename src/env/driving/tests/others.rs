@@ -34,7 +34,7 @@ proptest! {
                 *action = 0.5 * *action + mean;
             }
             exchange(&mut world, &mut rails, &actions);
-            let others: Vec<OtherView> = world.others().collect();
+            let others: Vec<BackgroundVehicle> = world.background_vehicles().collect();
             most = most.max(others.len());
             prop_assert!(others.len() <= slots - n);
             let frame = world.frame();

@@ -149,7 +149,7 @@ fn pursuit_stays_on_the_road_of_every_route() {
                     steer,
                     throttle.clamp(-1.0, 1.0),
                 );
-                assert!(!road.left_by(&motion.pose), "{name}: {id} at {:?}", motion.pose);
+                assert!(!road.is_off_road(&motion.pose), "{name}: {id} at {:?}", motion.pose);
                 if s > route.path.length() - 4.0 {
                     break;
                 }
