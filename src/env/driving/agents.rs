@@ -28,6 +28,17 @@ pub(crate) enum Status {
     Wreck,
 }
 
+/// Where SUMO has an agent that steers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub(crate) enum Track {
+    /// On its route.
+    #[default]
+    Route,
+    /// The vehicle has been beside its route, or over a junction, so that SUMO may have given it
+    /// another route, or have it on no lane.
+    Astray,
+}
+
 /// A slot and its vehicle; empty by default.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Slot {
@@ -57,9 +68,8 @@ pub(crate) struct Slot {
     pub(crate) segment: usize,
     /// Whether SUMO has been given the vehicle and not yet been told to remove it.
     pub(crate) added: bool,
-    /// Whether a vehicle that steers has been beside its route, or over a junction, so that SUMO may
-    /// have given it another route, or have it on no lane.
-    pub(crate) astray: bool,
+    /// Where SUMO has the vehicle, if it steers.
+    pub(crate) track: Track,
     /// Pose that SUMO was last given for a vehicle that steers, with the speed that went with
     /// it \[m/s\].
     pub(crate) sent: Option<(Pose, f64)>,

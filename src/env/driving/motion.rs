@@ -1,6 +1,6 @@
 //! Motion of the agents: turns actions into SUMO's commands, and SUMO's snapshots into poses.
 
-use super::agents::{Slot, Status};
+use super::agents::{Slot, Status, Track};
 use super::geometry::Pose;
 use super::lane_routes::Side;
 use super::map::RoutePosition;
@@ -66,17 +66,14 @@ pub(super) fn act(
             }
             Status::Wreck => {
                 slot.wreck_steps -= 1;
-                if !task.steers(driver) {
-                    commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
-                    if task.changes_lanes() {
-                        commands.push(Command::LaneChangeMode {
-                            world,
-                            slot: at,
-                            mode: ON_REQUEST,
-                        });
-                    }
-                } else {
+                if task.steers(driver) {
                     move_to_pose(task, world, at, slot, commands);
+                    continue;
+                }
+                commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
+                if task.changes_lanes() {
+                    let mode = ON_REQUEST;
+                    commands.push(Command::LaneChangeMode { world, slot: at, mode });
                 }
             }
             Status::Empty if slot.added && !slot.is_waiting() => {
@@ -142,15 +139,18 @@ fn move_to_pose(
     commands: &mut Vec<Command>,
 ) {
     let pose = vehicle.motion.pose;
-    if vehicle.sent == Some((pose, 0.0)) && (!vehicle.astray || vehicle.status == Status::Wreck) {
+    let may_stand = vehicle.track == Track::Route || vehicle.status == Status::Wreck;
+    if may_stand && vehicle.sent == Some((pose, 0.0)) {
         return;
     }
     let (sin, cos) = pose.heading.sin_cos();
     let half = task.scenario.vehicle.length / 2.0;
     let [x, y] = [pose.x + half * cos, pose.y + half * sin];
     let (place, s) = task.map.locate(vehicle.route, [x, y], vehicle.segment);
-    vehicle.astray |= place == RoutePosition::Beside;
-    let place = if vehicle.astray { RoutePosition::Beside } else { place };
+    if place == RoutePosition::Beside {
+        vehicle.track = Track::Astray;
+    }
+    let place = if vehicle.track == Track::Route { place } else { RoutePosition::Beside };
     let distance = task.map.routes[vehicle.route].lanes().distance_of_arc(s);
     let held = vehicle.held.take().filter(|_| place != RoutePosition::Beside);
     let speed = held.map(|held| (distance - held) / task.scenario.control.interval);
@@ -164,7 +164,9 @@ fn move_to_pose(
     }
     // Over a junction, SUMO may put the vehicle on another lane that lies there and take it on
     // along that lane, so that it has another route.
-    vehicle.astray |= place == RoutePosition::Junction;
+    if place == RoutePosition::Junction {
+        vehicle.track = Track::Astray;
+    }
     vehicle.held = Some(distance).filter(|_| place == RoutePosition::Road);
     let speed = vehicle.speed.max(0.0);
     vehicle.sent = Some((pose, speed));
@@ -203,7 +205,10 @@ pub(super) fn place(
             if slot.is_waiting() {
                 continue;
             }
-            if slot.departed && steers && (slot.astray || slot.status == Status::Wreck) {
+            if slot.departed
+                && steers
+                && (slot.track == Track::Astray || slot.status == Status::Wreck)
+            {
                 // The vehicle is on no lane for SUMO. How far beyond the end of a road that begins
                 // depends on SUMO's version.
                 slot.age += 1;

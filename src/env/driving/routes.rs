@@ -235,12 +235,12 @@ pub(super) fn geometry(
         let stretches = identity.into_iter().chain(extended(path, other, &stretches, size));
         shared.push(stretches.collect());
         // A route that crosses itself comes to the same point twice, much further on.
-        let opposing =
+        let backwards =
             all.chunk_by(|one, next| next.other < one.other && next.own - one.own <= ROOM);
         let ends =
-            opposing.filter(|part| part.len() > 1).map(|part| [part[0], part[part.len() - 1]]);
-        opposing
-            .push(ends.map(|ends| OpposingStretch::between(path, other, ends, size[1])).collect());
+            backwards.filter(|part| part.len() > 1).map(|part| [part[0], part[part.len() - 1]]);
+        let stretches = ends.map(|ends| OpposingStretch::between(path, other, ends, size[1]));
+        opposing.push(stretches.collect());
         by_route.push(all);
         conflicts.extend(first);
     }
