@@ -61,7 +61,9 @@ fn a_vehicle_on_no_lane_of_sumo_drives_on() {
         let mut listed = [Listed::default(), Listed::default()];
         let (mut noise, mut chance) = (Seed::new(9).rng(), Seed::new(2).rng());
         let (mut commands, mut ended) = (Vec::new(), 0);
-        worlds.iter_mut().for_each(|world| world.reset(0));
+        for world in &mut worlds {
+            world.reset(0);
+        }
         while !worlds[0].is_idle() {
             // Pursuit forwards, backwards and forwards again, not quite along the route.
             let (step, episode) = (worlds[0].step_count(), worlds[0].episode());
