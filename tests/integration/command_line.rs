@@ -254,7 +254,15 @@ fn damaged_checkpoints_are_refused() {
     let (before, silent) = evaluation();
     assert_eq!(silent, "");
     let now = std::fs::read_to_string(&site).expect("it is there");
-    std::fs::write(&site, now.replace("wreckTime=\"2.5\"", "wreckTime=\"0\"")).expect("a file");
+    let now = now.replace("wreckTime=\"2.5\"", "wreckTime=\"0\"");
+    std::fs::write(&site, &now).expect("a file");
+    let (after, said) = evaluation();
+    assert_eq!(after, before);
+    assert_snapshot!(said.replace(&dir.path().display().to_string(), "DIR"), @"settings of the run replace values in DIR/site/a.xml: scenario.termination.wreckTime = 2.5 (was 0.0)");
+    // What is no setting is as the file has it now.
+    let other = now.replace("max=\"48\"", "max=\"47\"");
+    assert_ne!(other, now);
+    std::fs::write(&site, other).expect("a file");
     let (after, said) = evaluation();
     assert_eq!(after, before);
     assert_snapshot!(said.replace(&dir.path().display().to_string(), "DIR"), @r#"

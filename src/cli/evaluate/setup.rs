@@ -142,14 +142,12 @@ impl Setup {
     }
 }
 
-/// Says how the task differs from the scenario's file, if that file is not the one of training.
+/// Says whether the scenario's files have changed since training, and how the task differs from them.
 fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Change]) {
     let file = scenario.path.display();
     let given = |set: &String| set.trim_start().starts_with("scenario=");
-    if args.scenario.is_none() && !args.set.iter().any(given) {
-        if run.fingerprint().is_none_or(|trained| trained == scenario.fingerprint()) {
-            return;
-        }
+    let is_other = args.scenario.is_some() || args.set.iter().any(given);
+    if !is_other && run.fingerprint().is_some_and(|trained| trained != scenario.fingerprint()) {
         let whole = Some(run.scenario()).filter(|path| path.exists());
         let whole = whole.map_or_else(String::new, |path| {
             format!("; --scenario {} is the scenario of training", path.display())

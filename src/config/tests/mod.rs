@@ -110,7 +110,7 @@ fn vehicles_that_steer_have_defaults_of_their_own() {
     assert_eq!((five.learner.exploration.correlation, five.train.envs), (0.95, 25));
     assert_eq!(five.steps, 2_400_000 * 8 / 5);
     let view = |c: &Config| c.learner.ppo.gamma;
-    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), (0.998, 0.9925));
+    assert_eq!((view(&five), view(&resolve("", &[]).unwrap())), (0.9995, 0.9925));
     assert_eq!(
         view(&resolve_on("parking_lot", "", &["algorithm=maddpg"]).unwrap()),
         view(&five),

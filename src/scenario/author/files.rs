@@ -224,6 +224,8 @@ fn steer(scenario: &mut Scenario) {
     observation.groups = ObservationGroups::Nearest;
     (observation.conflict_streams, observation.stream_vehicles) = (0, 0);
     (observation.encounters, observation.foresight) = (6, 4.0);
+    // With a high discount, to block others costs a vehicle little but for what it costs them.
+    scenario.reward.cooperation = 0.25;
     // Vehicles know on which of several lanes they are, and are paid for staying on it.
     (observation.borders, scenario.reward.lane_keeping) = (4.0, 1.0);
     scenario.termination.border = Border::Kerb;
@@ -234,8 +236,7 @@ fn reverse(scenario: &mut Scenario) {
     scenario.control.brake = vec![(1.0, scenario.control.accel)];
     scenario.control.steering = Some(Steering { reverse: true, ..Steering::default() });
     (scenario.observation.foresight, scenario.observation.borders) = (0.0, 0.0);
-    (scenario.reward.arrive, scenario.reward.cooperation) = (100.0, 0.17);
-    scenario.reward.lane_keeping = 0.0;
+    (scenario.reward.arrive, scenario.reward.lane_keeping) = (100.0, 0.0);
 }
 
 /// Whether and how vehicles steer.
