@@ -118,29 +118,33 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         // A resumed run uses its own settings.
         layers.document = Document::read(&RunDir::new(out).config())?;
     }
-    let Resolution { mut config, mut place, mut profile, mut origins, .. } = layers.resolve()?;
-    if let Some(why) = config.cannot_be_trained() {
+    let mut resolution = layers.resolve()?;
+    if let Some(why) = resolution.config.cannot_be_trained() {
         bail!(why);
     }
     let first = ranks.rank() == 0;
-    for line in config::unread(&given.set, &config).into_iter().filter(|_| first) {
+    for line in config::unread(&given.set, &resolution.config).into_iter().filter(|_| first) {
         say!("{line}");
     }
-    for line in config::without_effect(&given.set, place.scenario()).into_iter().filter(|_| first) {
+    let scenario = resolution.place.scenario();
+    for line in config::without_effect(&given.set, scenario).into_iter().filter(|_| first) {
         say!("{line}");
     }
     let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
         PathBuf::from("runs")
-            .join(place.name())
-            .join(&config.algorithm)
-            .join(format!("seed_{}", config.seed))
+            .join(resolution.place.name())
+            .join(&resolution.config.algorithm)
+            .join(format!("seed_{}", resolution.config.seed))
     }));
     if args.resume && given.config.is_none() && args.out.is_none() {
         // The run folder is known only now; a resumed run uses its own settings.
         layers.document = Document::read(&dir.config())?;
-        Resolution { config, place, profile, origins, .. } = layers.resolve()?;
+        resolution = layers.resolve()?;
     }
-    for line in config::overruled(&layers, &origins).into_iter().filter(|_| first) {
+    let replacement = resolution.replacement().filter(|_| args.resume);
+    let Resolution { mut config, place, profile, origins, .. } = resolution;
+    let told = config::overruled(&layers, &origins).into_iter().chain(replacement);
+    for line in told.filter(|_| first) {
         say!("{line}");
     }
     if !args.resume && dir.last().exists() {

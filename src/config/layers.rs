@@ -46,6 +46,22 @@ pub struct Resolution {
     pub profile: &'static Profile,
 }
 
+impl Resolution {
+    /// Says which settings of a run replace values in the scenario's file. Settings that options
+    /// give need no mention. `None` if there are no others.
+    pub fn replacement(&self) -> Option<String> {
+        let by_option = |change: &Change| match self.origins.get(&change.key) {
+            Some(Origin::Given(place)) => place.starts_with("--"),
+            _ => false,
+        };
+        let changes = self.replaced.iter().filter(|change| !by_option(change));
+        let list: Vec<String> = changes.map(ToString::to_string).collect();
+        let file = self.place.scenario()?.path.display();
+        let text = || format!("settings of the run replace values in {file}: {}", list.join(", "));
+        (!list.is_empty()).then(text)
+    }
+}
+
 /// Where agents act.
 #[derive(Debug)]
 pub enum TaskSource {

@@ -259,6 +259,10 @@ fn damaged_checkpoints_are_refused() {
     let (after, said) = evaluation();
     assert_eq!(after, before);
     assert_snapshot!(said.replace(&dir.path().display().to_string(), "DIR"), @"settings of the run replace values in DIR/site/a.xml: scenario.termination.wreckTime = 2.5 (was 0.0)");
+    let mut resumed = iwol(&["train", "--resume", "--steps", "128", "--out"]);
+    let said = text(&succeeds(resumed.arg(&site_run)).stderr);
+    assert!(said.contains(": scenario.termination.wreckTime = 2.5 (was 0.0)"), "{said}");
+    let (before, _) = evaluation();
     // What is no setting is as the file has it now.
     let other = now.replace("max=\"48\"", "max=\"47\"");
     assert_ne!(other, now);

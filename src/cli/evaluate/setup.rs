@@ -8,7 +8,7 @@ use toml::Value;
 
 use crate::algo::{self, Algorithm, Channel};
 use crate::checkpoint::Checkpoint;
-use crate::config::{self, Change, Config, Document, Layers, Origin, Resolution, TaskSource};
+use crate::config::{self, Config, Document, Layers, Resolution, TaskSource};
 use crate::env::{EnvSpec, Task};
 use crate::evaluate::{Controller, LearnedPolicy, OnnxPolicy};
 use crate::provenance::Training;
@@ -59,15 +59,12 @@ impl Setup {
         if let Some(backend) = &args.backend {
             layers.flags.push(("simulation.backend", Value::String(backend.clone())));
         }
-        let Resolution { config, place, origins, mut replaced, .. } = layers.resolve()?;
+        let resolution = layers.resolve()?;
+        let replacement = resolution.replacement();
+        let Resolution { config, place, origins, .. } = resolution;
         for line in config::overruled(&layers, &origins) {
             say!("{line}");
         }
-        // What the user asked for needs no mention.
-        replaced.retain(|change| match origins.get(&change.key) {
-            Some(Origin::Given(place)) => !place.starts_with("--"),
-            _ => true,
-        });
         let onnx = args.policy.iter().any(|name| name.starts_with(super::ONNX));
         if onnx && args.set.iter().any(|set| set.trim_start().starts_with("channel.")) {
             bail!(
@@ -95,7 +92,7 @@ impl Setup {
         }
         let run = args.run.as_deref().and_then(RunDir::of);
         if let (Some(run), TaskSource::Scenario(scenario)) = (run, &place) {
-            tell_changes(args, &run, scenario, &replaced);
+            tell_changes(args, &run, scenario, replacement);
         }
         let arena = match &place {
             TaskSource::Scenario(scenario) => Arena::Roads {
@@ -143,7 +140,7 @@ impl Setup {
 }
 
 /// Says whether the scenario's files have changed since training, and how the task differs from them.
-fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Change]) {
+fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replacement: Option<String>) {
     let file = scenario.path.display();
     let given = |set: &String| set.trim_start().starts_with("scenario=");
     let is_other = args.scenario.is_some() || args.set.iter().any(given);
@@ -154,9 +151,8 @@ fn tell_changes(args: &Args, run: &RunDir, scenario: &Scenario, replaced: &[Chan
         });
         say!("{file}, or a net or route file that it names, has changed since training{whole}");
     }
-    if !replaced.is_empty() {
-        let list: Vec<String> = replaced.iter().map(ToString::to_string).collect();
-        say!("settings of the run replace values in {file}: {}", list.join(", "));
+    if let Some(line) = replacement {
+        say!("{line}");
     }
 }
 
