@@ -142,7 +142,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         resolution = layers.resolve()?;
     }
     let replacement = resolution.replacement().filter(|_| args.resume);
-    let Resolution { mut config, place, profile, origins, .. } = resolution;
+    let Resolution { config, place, profile, origins, .. } = resolution;
     let told = config::overruled(&layers, &origins).into_iter().chain(replacement);
     for line in told.filter(|_| first) {
         say!("{line}");
