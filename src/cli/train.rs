@@ -143,8 +143,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     }
     let replacement = resolution.replacement().filter(|_| args.resume);
     let Resolution { config, place, profile, origins, .. } = resolution;
-    let told = config::overruled(&layers, &origins).into_iter().chain(replacement);
-    for line in told.filter(|_| first) {
+    for line in config::overruled(&layers, &origins).into_iter().filter(|_| first) {
         say!("{line}");
     }
     if !args.resume && dir.last().exists() {
@@ -237,6 +236,9 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         all,
         deployed
     );
+    if let Some(line) = replacement {
+        say!("{line}");
+    }
     for change in changes {
         say!("the run continues with another setting: {change}");
     }
