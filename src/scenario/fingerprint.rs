@@ -10,10 +10,10 @@ use crate::markup;
 
 impl Scenario {
     /// Returns a hash, in hexadecimal, of the elements, attributes and texts in the scenario file
-    /// and in the net, route and additional files that it names. Comments, white space and the locations of the
-    /// files do not count, nor do the attributes of the scenario file that are settings of a run:
-    /// each run has its own values of them. A file that cannot be read or is not XML contributes
-    /// only this fact.
+    /// and in the net, route and additional files that it names. Comments, white space and the
+    /// locations of the files do not count, nor do the attributes of the scenario file that are
+    /// settings of a run: each run has its own values of them. A file that cannot be read or is not
+    /// XML contributes only this fact.
     pub fn fingerprint(&self) -> String {
         let settings: HashSet<String> =
             overridable().iter().map(|known| known.path.join(".")).collect();

@@ -224,7 +224,7 @@ fn steer(scenario: &mut Scenario) {
     observation.groups = ObservationGroups::Nearest;
     (observation.conflict_streams, observation.stream_vehicles) = (0, 0);
     (observation.encounters, observation.foresight) = (6, 4.0);
-    // Vehicles that steer have a high discount, at which blocking others costs a vehicle itself little.
+    // Vehicles that steer have a high discount, at which blocking others costs the blocker little.
     scenario.reward.cooperation = 0.25;
     // Vehicles know on which of several lanes they are, and are paid for staying on it.
     (observation.borders, scenario.reward.lane_keeping) = (4.0, 1.0);
