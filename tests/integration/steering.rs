@@ -8,7 +8,6 @@ use rand::RngExt;
 use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, Task, World};
 use iwol_sumo::rng::Seed;
-use iwol_sumo::sumo::constants::INVALID_DOUBLE_VALUE;
 use iwol_sumo::sumo::domain::vehicle::{Addition, Placement};
 use iwol_sumo::sumo::net::Net;
 use iwol_sumo::sumo::process::{Options, Process};
@@ -88,12 +87,10 @@ impl Own {
         }
         self.sumo.simulation_step(0.0).unwrap();
         let there = self.sumo.vehicle().get_id_list().unwrap();
-        // A vehicle has a distance while it is on a lane.
         let state = |slot: u32| {
-            let distance = there
-                .contains(&vehicle(slot))
-                .then(|| self.sumo.vehicle().get_distance(&vehicle(slot)).unwrap())?;
-            (distance != INVALID_DOUBLE_VALUE).then_some(VehicleState { distance: 0.0, speed: 0.0 })
+            let on_lane = there.contains(&vehicle(slot))
+                && !self.sumo.vehicle().get_lane_id(&vehicle(slot)).unwrap().is_empty();
+            on_lane.then_some(VehicleState { distance: 0.0, speed: 0.0 })
         };
         let vehicles = (0..self.task.agents as u32).map(state).collect();
         Snapshot { time: 0.0, vehicles, ..Snapshot::default() }
