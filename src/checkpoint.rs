@@ -11,7 +11,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use tch::{Kind, Tensor};
 
-use crate::env::{Position, WorldState};
+use crate::env::{Features, Position, WorldState, names_differ};
 use crate::record;
 
 /// Version of the file's layout.
@@ -50,6 +50,9 @@ pub struct Checkpoint {
     pub config: String,
     /// Name of the algorithm.
     pub algorithm: String,
+    /// Names of the numbers of an observation, in their order; empty in checkpoints of versions that
+    /// did not store them.
+    pub features: Vec<String>,
     /// State of the learner: tensors by name.
     pub learner: Vec<(String, Tensor)>,
     /// Current episode and action history of each world.
@@ -93,6 +96,13 @@ impl Checkpoint {
         self.memory.clear();
         self.player = None;
         self
+    }
+
+    /// Returns how the observations that the policy learned from differ from those of an environment
+    /// with these features in the names of their numbers; `None` if they do not.
+    pub fn misplaced(&self, features: &Features) -> Option<String> {
+        let stored = Some(&self.features).filter(|names| !names.is_empty())?;
+        names_differ("observation", stored, &features.names())
     }
 
     /// Writes a temporary file and renames it, so that an interruption or a full disk leaves the
@@ -142,6 +152,7 @@ impl Checkpoint {
             ("format".to_owned(), FORMAT.to_owned()),
             ("algorithm".to_owned(), self.algorithm.clone()),
             ("config".to_owned(), self.config.clone()),
+            ("features".to_owned(), serde_json::to_string(&self.features).expect("plain data")),
             ("progress".to_owned(), serde_json::to_string(&self.progress).expect("plain data")),
             ("episodes".to_owned(), serde_json::to_string(&episodes).expect("plain data")),
             ("positions".to_owned(), serde_json::to_string(&positions).expect("plain data")),
@@ -191,6 +202,12 @@ impl Checkpoint {
             .map_err(|e| damaged(format!("progress: {e}")))?;
         let episodes: Vec<(u64, bool)> = serde_json::from_str(&text("episodes")?)
             .map_err(|e| damaged(format!("episodes: {e}")))?;
+        let features: Vec<String> = match text("features") {
+            Ok(text) => {
+                serde_json::from_str(&text).map_err(|e| damaged(format!("features: {e}")))?
+            }
+            Err(_) => Vec::new(),
+        };
         let counters =
             [progress.iteration, progress.step, progress.next_validation, progress.validated];
         if progress.annealed > progress.step {
@@ -283,6 +300,7 @@ impl Checkpoint {
             progress,
             config: text("config")?,
             algorithm: text("algorithm")?,
+            features,
             learner,
             worlds,
             memory: floats("memory")?,

@@ -157,8 +157,8 @@ pub struct Train {
     #[default = 0.95]
     #[schemars(range(min = 0, max = 1))]
     pub anneal_success: f64,
-    /// Environment steps that annealing takes, at most half of the run; by default × 8/N, but at
-    /// least half.
+    /// Environment steps that annealing takes, at most half of the run's. With N agents the default is
+    /// this value × 8/N, but at least half of this value.
     #[default = 180_000]
     #[schemars(range(min = 1, max = MOST_STEPS))]
     pub anneal_steps: u64,

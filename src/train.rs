@@ -272,6 +272,7 @@ impl Trainer {
             progress: self.progress.clone(),
             config: self.config.to_toml(),
             algorithm: self.config.algorithm.clone(),
+            features: self.environment.spec().observation.names(),
             learner: self.learner.state(),
             worlds: mark.worlds,
             memory: Vec::try_from(mark.memory.reshape([-1])).expect("memory is of floats"),

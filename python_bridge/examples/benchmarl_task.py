@@ -1,6 +1,6 @@
 """A task of BenchMARL, here with its MAPPO.
 
-    pip install iwol-sumo benchmarl
+    pip install ./python_bridge benchmarl   # in a clone of the repository
     python benchmarl_task.py 60000
 
 BenchMARL does not mask vehicles that have arrived or crashed: they show zeros, act to no effect and earn nothing, and its

@@ -1,6 +1,6 @@
 """PPO of RLlib with one policy for all vehicles.
 
-    pip install iwol-sumo "ray[rllib]" torch
+    pip install ./python_bridge "ray[rllib]" torch   # in a clone of the repository
     python rllib.py 10
 """
 

@@ -1,6 +1,6 @@
 """PPO of Stable-Baselines3 with one policy for all vehicles, through SuperSuit.
 
-    pip install iwol-sumo supersuit stable-baselines3
+    pip install ./python_bridge supersuit stable-baselines3   # in a clone of the repository
     python sb3.py 100000
 
 Stable-Baselines3 knows no masks: vehicles that have arrived or crashed show zeros, and it learns from those zeros too.

@@ -1,6 +1,6 @@
 """A rollout with TorchRL's PettingZooWrapper.
 
-    pip install iwol-sumo torchrl
+    pip install ./python_bridge torchrl   # in a clone of the repository
     python torchrl_rollout.py
 """
 

@@ -1,6 +1,6 @@
 """Evaluates a trained policy in PyTorch.
 
-    pip install "iwol-sumo[sumo,torch]"
+    pip install "./python_bridge[sumo,torch]"   # in a clone of the repository
     python trained_policy.py policies/im-iwol-8
 """
 

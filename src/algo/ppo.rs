@@ -25,7 +25,8 @@ pub struct Ppo {
     pub learning_rate: f64,
     /// Whether the learning rate is proportional to the imposed standard deviation of the actions,
     /// and `ppo.learning_rate` is that for a standard deviation of 1. A step of the same size
-    /// changes a policy more if the policy has less noise.
+    /// changes a policy more if the policy has less noise. By default false where actions are
+    /// discrete.
     #[default = true]
     pub learning_rate_follows_noise: bool,
     /// Share of the learning rate that is left when annealing is over.
@@ -55,9 +56,9 @@ pub struct Ppo {
     #[default = 0.9]
     #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
     pub average: f64,
-    /// Discount per step. It says what time is worth: at 0.99, arriving ten steps earlier outweighs a
-    /// crash risk of one in ten, and vehicles crash for it; at 0.998, vehicles take their time
-    /// (docs/lab/decision-process.md#the-discount).
+    /// Discount per step. The lower it is, the more time is worth: at 0.99, arriving ten steps earlier
+    /// outweighs a crash risk of one in ten. With a higher discount, vehicles crash less and drive
+    /// more slowly (docs/lab/decision-process.md#the-discount).
     #[default = 0.9925]
     #[schemars(range(min = 0, max = 1))]
     pub gamma: f64,
@@ -73,7 +74,7 @@ pub struct Ppo {
     #[schemars(range(min = 0))]
     pub bounds: f64,
     /// Weight of the entropy bonus, which keeps a policy with discrete actions or with learned noise
-    /// exploring.
+    /// exploring; by default 0.01 where actions are discrete.
     pub entropy_coefficient: f64,
     /// Share of the weight of the entropy bonus that is left when annealing is over. The logarithm
     /// of the weight falls linearly while annealing lowers the noise

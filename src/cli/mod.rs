@@ -253,7 +253,6 @@ fn program() -> String {
 }
 
 /// Returns a path as a word for a shell: in quotes, if it contains characters that shells interpret.
-#[cfg(feature = "learn")]
 fn word(path: &std::path::Path) -> String {
     let text = path.to_string_lossy();
     let plain = |c: char| c.is_alphanumeric() || "/._-+=,:@%".contains(c);

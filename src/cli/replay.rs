@@ -32,10 +32,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if let Some(path) = outputs.iter().find(|path| is_same_file(path, &args.recording)) {
         bail!("`{}` is the recording itself; choose another file to write", path.display());
     }
-    if let [out, svg] = outputs[..]
-        && is_same_file(out, svg)
-    {
-        bail!("--out and --svg are both `{}`; choose two different files", out.display());
+    for (option, path, end) in [("--out", &args.out, "html"), ("--svg", &args.svg, "svg")] {
+        let other = |path: &&PathBuf| path.extension().is_none_or(|e| !e.eq_ignore_ascii_case(end));
+        if let Some(path) = path.as_ref().filter(other) {
+            bail!("{option} {}: the file's name must end in .{end}", path.display());
+        }
     }
     if let Some(at) = args.at.filter(|&at| at >= recording.steps) {
         bail!("--at {at}: there is no such step; allowed: 0 to {}", recording.steps - 1);

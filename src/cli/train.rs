@@ -161,6 +161,12 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     if !args.resume {
         refuse_remains(&dir)?;
     }
+    if args.resume && !dir.last().exists() && dir.best().exists() {
+        bail!(
+            "`{}` contains a policy, but not the state from which a training continues (checkpoints/last.safetensors); start from the policy with --init-from, and choose another --out",
+            dir.path().display()
+        );
+    }
     if args.resume && !dir.last().exists() {
         bail!(
             "`{}` contains no checkpoint to continue from; a training writes the first one before its first validation. Start it without --resume",

@@ -80,7 +80,7 @@ impl Values {
         values.follow(&rule("method"), |config| config.follow_method(algorithm));
         if trained {
             // With the noise for new weights, a trained policy would forget what it has learned.
-            values.follow(&rule("init_from"), |config| {
+            values.follow(&rule("initial policy"), |config| {
                 config.learner.exploration.log_std_start = Exploration::LOG_STD_EXPLORED;
             });
         }

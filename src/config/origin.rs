@@ -30,7 +30,7 @@ impl fmt::Display for Origin {
             Self::Scenario => f.write_str("scenario"),
             Self::Preset(name) => write!(f, "preset {name}"),
             Self::Profile(name) => write!(f, "profile {name}"),
-            Self::Rule(what) => write!(f, "default for this {what}"),
+            Self::Rule(what) => write!(f, "default, by the {what}"),
             Self::Given(place) => f.write_str(place),
         }
     }

@@ -48,5 +48,5 @@ pub use record::EpisodeRecord;
 pub use robotarium::{Navigation, Transport};
 pub use spec::{
     ActionDimension, ActionSpace, Better, Described, EnvSpec, Feature, Features, Group, OwnMetric,
-    Values,
+    Values, names_differ,
 };

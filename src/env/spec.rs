@@ -221,6 +221,23 @@ pub struct Group {
     pub presence: Option<usize>,
 }
 
+/// Returns how the names of the numbers of a part of a policy, `theirs`, differ from those that the
+/// task defines, `ours`; `None` if they do not.
+pub fn names_differ<T: AsRef<str>>(part: &str, theirs: &[T], ours: &[T]) -> Option<String> {
+    if theirs.len() != ours.len() {
+        return Some(format!(
+            "the policy has {} numbers of {part}; the task and its settings define {}",
+            theirs.len(),
+            ours.len()
+        ));
+    }
+    let mut pairs = theirs.iter().zip(ours).map(|(theirs, ours)| (theirs.as_ref(), ours.as_ref()));
+    let (at, (theirs, ours)) = pairs.by_ref().enumerate().find(|(_, (one, other))| one != other)?;
+    Some(format!(
+        "number {at} of {part} is `{theirs}`; by the task and its settings it is `{ours}`"
+    ))
+}
+
 impl Features {
     /// Number of features.
     pub fn len(&self) -> usize {
@@ -230,6 +247,11 @@ impl Features {
     /// Whether there are no features.
     pub fn is_empty(&self) -> bool {
         self.list.is_empty()
+    }
+
+    /// Returns the names of the features, in order.
+    pub fn names(&self) -> Vec<String> {
+        self.list.iter().map(|feature| feature.name.clone()).collect()
     }
 
     /// Returns one group of features, each of which is there once.

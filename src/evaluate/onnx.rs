@@ -12,7 +12,7 @@ use serde_json::Value;
 
 use super::{Actor, Controller, WORLDS};
 use crate::algo::onnx;
-use crate::env::{self, ActionSpace, EnvSpec, Frame, Worlds};
+use crate::env::{self, ActionSpace, EnvSpec, Frame, Worlds, names_differ};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::Seed;
 
@@ -47,13 +47,14 @@ impl OnnxPolicy {
     ///
     /// # Errors
     /// [`OnnxError`] if the file is no ONNX model, has other inputs and outputs, is for another
-    /// number of agents, or observes something else than the environment's agents do. The names of the
-    /// observation's numbers are compared if the file has the metadata of `iwol export --onnx`.
-    pub fn load(file: &Path, spec: &EnvSpec) -> Result<Self, OnnxError> {
-        Self::read(file, spec).map_err(|what| OnnxError { file: file.to_owned(), what })
+    /// number of agents, or observes something else than the environment's agents do. If the file has
+    /// the metadata of `iwol export --onnx`, the names and scales of the observation's numbers and
+    /// the time between decisions, `interval` \[s\], are compared.
+    pub fn load(file: &Path, spec: &EnvSpec, interval: Option<f64>) -> Result<Self, OnnxError> {
+        Self::read(file, spec, interval).map_err(|what| OnnxError { file: file.to_owned(), what })
     }
 
-    fn read(file: &Path, spec: &EnvSpec) -> Result<Self, String> {
+    fn read(file: &Path, spec: &EnvSpec, interval: Option<f64>) -> Result<Self, String> {
         // The library recognises the format of a file by the ending of its name.
         if file.extension().is_none_or(|end| end != "onnx") {
             return Err("must have a name that ends in .onnx; rename it".to_owned());
@@ -108,7 +109,10 @@ impl OnnxPolicy {
             }
         }
         if let Some(text) = model.metadata().get("policy") {
-            compare_names(text, spec)?;
+            let policy: Value = serde_json::from_str(text)
+                .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
+            compare_names(&policy, spec)?;
+            compare_interval(&policy, interval)?;
         }
         // Networks are small: threads would wait for each other.
         let pool = Arc::new(ThreadPool::with_num_threads(1));
@@ -141,34 +145,45 @@ impl OnnxPolicy {
     }
 }
 
-/// Compares the names of the numbers of observations and actions with those of an environment.
-/// `text` is the JSON that `iwol export --onnx` writes.
-fn compare_names(text: &str, spec: &EnvSpec) -> Result<(), String> {
-    let metadata: Value = serde_json::from_str(text)
-        .map_err(|error| format!("the metadata `policy` are no JSON: {error}"))?;
-    let observation = spec.observation.list.iter().map(|feature| feature.name.as_str());
+/// Compares the names of the numbers of observations and actions with those of an environment, and
+/// the scales of observations. `policy` is the JSON that `iwol export --onnx` writes.
+fn compare_names(policy: &Value, spec: &EnvSpec) -> Result<(), String> {
+    let observation = spec.observation.list.iter().map(|f| label(&f.name, Some(&f.unit)));
     let actions = match &spec.actions {
         ActionSpace::Continuous(_) => spec.actions.names(),
         ActionSpace::Discrete(choices) => choices.clone(),
     };
-    for (part, ours) in [("observation", observation.collect::<Vec<_>>()), ("actions", actions)] {
-        let Some(rows) = metadata[part].as_array() else { continue };
-        let theirs: Vec<&str> = rows.iter().filter_map(|row| row["name"].as_str()).collect();
-        if theirs.len() != ours.len() {
-            return Err(format!(
-                "the metadata name {} numbers of {part}; the task and its settings define {}",
-                theirs.len(),
-                ours.len()
-            ));
-        }
-        if let Some(at) = (0..ours.len()).find(|&at| theirs[at] != ours[at]) {
-            return Err(format!(
-                "number {at} of {part} is `{}`; by the task and its settings it is `{}`",
-                theirs[at], ours[at]
-            ));
+    let actions = actions.iter().map(|name| (*name).to_owned());
+    let parts = [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())];
+    for (part, ours) in parts {
+        let Some(rows) = policy[part].as_array() else { continue };
+        let of_row = |row: &Value| Some(label(row["name"].as_str()?, row["unit"].as_str()));
+        let theirs: Vec<String> = rows.iter().filter_map(of_row).collect();
+        if let Some(difference) = names_differ(part, &theirs, &ours) {
+            return Err(difference);
         }
     }
     Ok(())
+}
+
+/// Compares the time between decisions \[s\] that the policy learned with with that of the task.
+fn compare_interval(policy: &Value, interval: Option<f64>) -> Result<(), String> {
+    match (policy["interval"].as_f64(), interval) {
+        (Some(learned), Some(interval)) if learned != interval => Err(format!(
+            "decides every {learned} s; in the scenario, <control> has interval=\"{interval}\""
+        )),
+        _ => Ok(()),
+    }
+}
+
+/// Returns the name of a number with its scale, as `neighbour_0.forward, unit 50 m`, if its unit
+/// begins with a scale.
+fn label(name: &str, unit: Option<&str>) -> String {
+    let scale = unit.filter(|unit| unit.starts_with(|c: char| c.is_ascii_digit()));
+    match scale.and_then(|unit| unit.split([',', ':']).next()) {
+        Some(scale) => format!("{name}, unit {scale}"),
+        None => name.to_owned(),
+    }
 }
 
 impl Controller for OnnxPolicy {
@@ -246,6 +261,35 @@ mod tests {
     use tch::{Device, Tensor};
 
     use super::*;
+
+    /// A policy that learned with other scales, or decided at other times, is not used in silence.
+    #[test]
+    fn names_scales_and_the_interval_are_compared() {
+        let spec = spec_of_one_number("20 m, at most");
+        let policy = |name: &str, unit: &str| serde_json::json!({ "observation": [{ "name": name, "unit": unit }] });
+        let number = "ego.distance";
+        for same in ["20 m, at most", "20 m: in other words"] {
+            assert_eq!(compare_names(&policy(number, same), &spec), Ok(()));
+        }
+        for (name, unit) in [(number, "50 m, at most"), ("ego.speed", "20 m, at most")] {
+            let difference = compare_names(&policy(name, unit), &spec).expect_err("another number");
+            assert!(difference.contains("by the task"), "{difference}");
+        }
+        assert_eq!(compare_interval(&serde_json::json!({ "interval": 0.1 }), Some(0.1)), Ok(()));
+        assert_eq!(compare_interval(&serde_json::json!({}), Some(0.1)), Ok(()));
+        assert!(compare_interval(&serde_json::json!({ "interval": 0.1 }), Some(0.05)).is_err());
+    }
+
+    fn spec_of_one_number(unit: &'static str) -> EnvSpec {
+        EnvSpec {
+            agents: 2,
+            actions: ActionSpace::Discrete(vec!["wait", "go"]),
+            observation: crate::env::Features::of("ego", &[("distance", unit, 0.0, 1.0)]),
+            state: crate::env::Features::default(),
+            most_heard: None,
+            metrics: Vec::new(),
+        }
+    }
     use crate::algo::{self, ActMode, Observation, Settings, onnx};
     use crate::env::Task;
     use crate::rng;
@@ -280,7 +324,8 @@ mod tests {
             let graph = onnx::graph(method, &task.spec, &settings, &state).expect("a model");
             let file = folder.path().join(format!("{method}.onnx"));
             std::fs::write(&file, graph.encode(method, &[])).expect("written");
-            let model = OnnxPolicy::load(&file, &task.spec).expect("a model for this task");
+            let model =
+                OnnxPolicy::load(&file, &task.spec, Some(0.1)).expect("a model for this task");
             let mut graphs = Seed::new(2).rng();
             let mut spread = 0.0_f64;
             for _ in 0..8 {

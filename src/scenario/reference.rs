@@ -41,7 +41,9 @@ pub(super) fn comment(name: &str) -> Option<String> {
 impl Element {
     fn write(&self, page: &mut String) -> std::fmt::Result {
         let occurs = match (self.least, self.most) {
-            (0, _) => "once or not at all".into(),
+            (0, Some(1)) => "once or not at all".into(),
+            (0, Some(most)) => format!("up to {most} times"),
+            (0, None) => "any number of times".into(),
             (_, None) => "once or more".into(),
             (_, Some(1)) => "once".into(),
             (least, Some(most)) => format!("{least} to {most} times"),

@@ -55,9 +55,9 @@ pub enum Choice {
     /// module has the release of the program `sumo`, otherwise TraCI with one SUMO process per core.
     #[default]
     Auto,
-    /// Always [`Backend::Traci`].
+    /// SUMO processes, over TCP.
     Traci,
-    /// Always [`Backend::Libsumo`].
+    /// SUMO inside of this process.
     Libsumo,
 }
 

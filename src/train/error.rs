@@ -34,6 +34,14 @@ pub enum Error {
         /// The mismatch.
         source: algo::Error,
     },
+    /// The initial weights belong to a policy that observes other numbers.
+    #[error("the policy in `{}` observes other numbers than this run's agents: {difference}", path.display())]
+    OtherObservation {
+        /// The checkpoint.
+        path: PathBuf,
+        /// The first difference.
+        difference: String,
+    },
     /// The initial weights belong to another method.
     #[error(
         "`{}` contains a policy of {of}, but this run trains {trained}, which has other networks",

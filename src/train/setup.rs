@@ -66,6 +66,9 @@ impl Trainer {
                     }
                     let unfit = |source| Error::InitFrom { path: path.clone(), source };
                     learner.load_weights(&stored.learner).map_err(unfit)?;
+                    if let Some(difference) = stored.misplaced(&spec.observation) {
+                        return Err(Error::OtherObservation { path: path.clone(), difference });
+                    }
                 }
                 let first = Progress {
                     next_validation: config.train.validate_every,

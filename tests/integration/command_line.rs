@@ -519,7 +519,7 @@ fn config_prints_settings_with_their_origins() {
     for (line, origin) in [
         ("agents = 16", "--agents"),
         ("anneal_steps = 1", "preset paper"),
-        ("validation_episodes = 32", "default for this number of agents"),
+        ("validation_episodes = 32", "default, by the number of agents"),
     ] {
         assert!(text.contains(&format!("{line:<44} # {origin}\n")), "{line} in {text}");
     }

@@ -96,10 +96,32 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
         if algorithm != algo::NAMES[0] {
             return;
         }
+        let other_numbers = [
+            "--set",
+            "scenario.observation.heading=false",
+            "--set",
+            "scenario.observation.ownTurn=true",
+        ];
         let refusals = [
             (
                 refused(&mut train(Path::new(&small), &["--algorithm", algorithm])),
                 "contains a policy; start from it",
+            ),
+            (
+                refused(&mut iwol(&["train", "--resume", "--out", &small])),
+                "contains a policy, but not the state from which a training continues",
+            ),
+            // As many numbers, but other ones: every number would be in the wrong place.
+            (
+                refused(iwol(&["evaluate", &small]).args(other_numbers)),
+                "number 2 of observation is `ego.heading_cos`; by the task",
+            ),
+            (
+                refused(
+                    train(&at("x"), &["--algorithm", algorithm, "--init-from", &small])
+                        .args(other_numbers),
+                ),
+                "number 2 of observation is `ego.heading_cos`; by the task",
             ),
             (
                 refused(&mut iwol(&["export", &name(&run), "--out", &small])),

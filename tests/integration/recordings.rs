@@ -56,10 +56,14 @@ fn a_recorded_episode_plays_in_a_browser() {
     let before = std::fs::read(&recording).expect("written");
     for (arguments, message) in [
         (["--out", &recording, "--at", "0"], "is the recording itself"),
-        (["--out", &svg, "--at", "0"], "choose two different files"),
+        (["--svg", "picture.png", "--at", "0"], "the file's name must end in .svg"),
+        (["--out", &svg, "--at", "0"], "the file's name must end in .html"),
         (["--out", &html, "--at", "100000"], "there is no such step; allowed: 0 to"),
     ] {
-        let mut replay = iwol(&["replay", &recording, "--svg", &svg]);
+        let mut replay = iwol(&["replay", &recording]);
+        if !arguments.contains(&"--svg") {
+            replay.args(["--svg", &svg]);
+        }
         let said = failure(replay.args(arguments));
         assert!(said.contains(message), "{said}");
     }

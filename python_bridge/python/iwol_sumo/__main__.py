@@ -12,7 +12,7 @@ def main() -> int:
     try:
         program, reason, version = _native.sumo()
     except SumoError as error:
-        print(f"SUMO: {error}", 'install it with: pip install "iwol-sumo[sumo]"', sep="\n")
+        print(f"SUMO: {error}", 'install it with: pip install eclipse-sumo', sep="\n")
         return 1
     print(f"SUMO: {version}, {program} ({reason})")
     print("scenarios:", ", ".join(scenarios()))

@@ -57,8 +57,9 @@ class Frame(NamedTuple):
     terminated: NDArray[np.bool_]
     """``[E, N]``: whether the last step ended the agent's trajectory by arrival or failure."""
     truncated: NDArray[np.bool_]
-    """``[E, N]``: whether the last step truncated it, at the horizon or because SUMO broke off. Its return goes on
-    from this frame's observation."""
+    """``[E, N]``: whether the last step truncated the agent's trajectory, at the horizon or because SUMO broke off.
+    At the horizon, `iwol train` adds nothing for the time that would follow, except in scenarios whose agents come from
+    route files. If SUMO broke off, the value of this frame's observation stands for what would have followed."""
     start: NDArray[np.bool_]
     """``[E, N]``: whether a new trajectory starts in the slot with this frame, so that memories are cleared."""
     interrupted: NDArray[np.bool_]

@@ -24,6 +24,15 @@ impl Arena {
         }
     }
 
+    /// Returns the time between the decisions of agents that drive \[s\].
+    #[cfg(feature = "learn")]
+    pub(super) fn interval(&self) -> Option<f64> {
+        match self {
+            Self::Roads { task, .. } => Some(task.scenario.control.interval),
+            Self::Other(_) => None,
+        }
+    }
+
     pub(super) fn backdrop(&self) -> Result<Backdrop, Error> {
         match self {
             Self::Roads { task, .. } => task.backdrop(),

@@ -135,7 +135,7 @@ impl Setup {
 
     /// Returns the policy of an ONNX file.
     pub(super) fn model(&self, file: &Path) -> anyhow::Result<Box<dyn Controller>> {
-        Ok(Box::new(OnnxPolicy::load(file, self.arena.spec())?))
+        Ok(Box::new(OnnxPolicy::load(file, self.arena.spec(), self.arena.interval())?))
     }
 }
 
@@ -171,6 +171,11 @@ fn build(
         ),
         other => other.into(),
     })?;
+    if let Some(difference) = checkpoint.misplaced(&spec.observation) {
+        bail!(
+            "the policy observes other numbers than the scenario and the settings define: {difference}"
+        );
+    }
     algo::check_channel(learner.name(), &config.channel)?;
     Ok(learner)
 }
@@ -182,6 +187,9 @@ fn checkpoint_of(run: &Path) -> anyhow::Result<Checkpoint> {
             "`{}` contains no checkpoint (checkpoints/best.safetensors or last.safetensors); a training writes the first one before its first validation",
             run.display()
         );
+    }
+    if run.is_dir() && !path.ends_with("best.safetensors") {
+        say!("`{}` has no best checkpoint: {} is evaluated", run.display(), path.display());
     }
     let checkpoint = Checkpoint::load(&path)?;
     if !algo::names().contains(&checkpoint.algorithm.as_str()) {

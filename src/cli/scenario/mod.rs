@@ -51,7 +51,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 /// Prints the path of a new scenario, and which commands to run next.
 fn next(scenario: &std::path::Path) {
     tell!("{}", scenario.display());
-    let file = scenario.display();
+    let file = super::word(scenario);
     say!(
         "\nnext: iwol scenario check {file}\n      iwol scenario show {file} -o picture.png\n      iwol train --scenario {file}"
     );

@@ -24,8 +24,8 @@ use super::{Verdict, program, word};
 pub(super) struct Args {
     /// Sweep file, e.g. experiments/paper/scalability.toml
     file: PathBuf,
-    /// Number of cells that run at the same time [default: 1, because a cell uses all cores while
-    /// it learns; with --slurm as many as Slurm allows]
+    /// Number of cells that run at the same time [default: 1, as a cell learns on the cores that
+    /// `ppo.shards` says; with --slurm as many as Slurm allows]
     #[arg(long, short, value_parser = clap::value_parser!(u16).range(1..))]
     jobs: Option<u16>,
     /// Run only every N-th cell, starting with the I-th, to divide the grid among N machines

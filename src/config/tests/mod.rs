@@ -320,9 +320,9 @@ fn each_value_has_an_origin() {
     let origin = |key: &str| resolved.origins[key].to_string();
     assert_eq!(origin("ppo.gae_lambda"), "default");
     assert_eq!(origin("ppo.gamma"), "preset steering");
-    assert_eq!(origin("train.anneal_steps"), "default for this number of agents");
-    assert_eq!(origin("ppo.minibatch"), "default for this method");
-    assert_eq!(origin("exploration.log_std_start"), "default for this init_from");
+    assert_eq!(origin("train.anneal_steps"), "default, by the number of agents");
+    assert_eq!(origin("ppo.minibatch"), "default, by the method");
+    assert_eq!(origin("exploration.log_std_start"), "default, by the initial policy");
     assert_eq!(origin("scenario.termination.horizon"), "scenario");
     assert_eq!(origin("seed"), "c.toml:1:8");
     assert_eq!(resolved.origins["train.envs"], Origin::Given("--set train.envs=3".to_owned()));
