@@ -148,22 +148,38 @@ impl OnnxPolicy {
 /// Compares the names of the numbers of observations and actions with those of an environment, and
 /// the scales of observations. `policy` is the JSON that `iwol export --onnx` writes.
 fn compare_names(policy: &Value, spec: &EnvSpec) -> Result<(), String> {
-    let observation = spec.observation.list.iter().map(|f| label(&f.name, Some(&f.unit)));
+    let features = &spec.observation.list;
+    let observation = features.iter().map(|feature| feature.name.as_str()).collect();
     let actions = match &spec.actions {
         ActionSpace::Continuous(_) => spec.actions.names(),
         ActionSpace::Discrete(choices) => choices.clone(),
     };
-    let actions = actions.iter().map(|name| (*name).to_owned());
-    let parts = [("observation", observation.collect::<Vec<_>>()), ("actions", actions.collect())];
-    for (part, ours) in parts {
+    for (part, ours) in [("observation", observation), ("actions", actions)] {
         let Some(rows) = policy[part].as_array() else { continue };
-        let of_row = |row: &Value| Some(label(row["name"].as_str()?, row["unit"].as_str()));
-        let theirs: Vec<String> = rows.iter().filter_map(of_row).collect();
+        let theirs: Vec<&str> = rows.iter().filter_map(|row| row["name"].as_str()).collect();
         if let Some(difference) = names_differ(part, &theirs, &ours) {
             return Err(difference);
         }
     }
+    let rows = policy["observation"].as_array().into_iter().flatten();
+    for (at, (row, feature)) in rows.zip(features).enumerate() {
+        let [theirs, ours] = [row["unit"].as_str().and_then(scale), scale(&feature.unit)];
+        if let (Some(theirs), Some(ours)) = (theirs, ours)
+            && theirs != ours
+        {
+            return Err(format!(
+                "number {at} of observation, `{}`, is in units of {theirs}; by the task and its settings it is in units of {ours}",
+                feature.name
+            ));
+        }
+    }
     Ok(())
+}
+
+/// Returns the scale with which a unit begins, such as `50 m`, if it does.
+fn scale(unit: &str) -> Option<&str> {
+    let scale = unit.split([',', ':']).next()?;
+    scale.starts_with(|c: char| c.is_ascii_digit()).then_some(scale)
 }
 
 /// Compares the time between decisions \[s\] that the policy learned with with that of the task.
@@ -173,16 +189,6 @@ fn compare_interval(policy: &Value, interval: Option<f64>) -> Result<(), String>
             "decides every {learned} s; in the scenario, <control> has interval=\"{interval}\""
         )),
         _ => Ok(()),
-    }
-}
-
-/// Returns the name of a number with its scale, as `neighbour_0.forward, unit 50 m`, if its unit
-/// begins with a scale.
-fn label(name: &str, unit: Option<&str>) -> String {
-    let scale = unit.filter(|unit| unit.starts_with(|c: char| c.is_ascii_digit()));
-    match scale.and_then(|unit| unit.split([',', ':']).next()) {
-        Some(scale) => format!("{name}, unit {scale}"),
-        None => name.to_owned(),
     }
 }
 
@@ -266,7 +272,10 @@ mod tests {
     #[test]
     fn names_scales_and_the_interval_are_compared() {
         let spec = spec_of_one_number("20 m, at most");
-        let policy = |name: &str, unit: &str| serde_json::json!({ "observation": [{ "name": name, "unit": unit }] });
+        let policy = |name: &str, unit: &str| {
+            let row = serde_json::json!({ "name": name, "unit": unit });
+            serde_json::json!({ "observation": [row] })
+        };
         let number = "ego.distance";
         for same in ["20 m, at most", "20 m: in other words"] {
             assert_eq!(compare_names(&policy(number, same), &spec), Ok(()));

@@ -235,7 +235,7 @@ fn steer(scenario: &mut Scenario) {
 fn reverse(scenario: &mut Scenario) {
     scenario.control.brake = vec![(1.0, scenario.control.accel)];
     scenario.control.steering = Some(Steering { reverse: true, ..Steering::default() });
-    (scenario.observation.foresight, scenario.observation.borders) = (0.0, 0.0);
+    scenario.observation.borders = 0.0;
     (scenario.reward.arrive, scenario.reward.lane_keeping) = (100.0, 0.0);
 }
 

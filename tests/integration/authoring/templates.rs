@@ -83,6 +83,21 @@ fn no_template_is_solved_by_full_throttle_and_all_by_giving_way() {
     }
 }
 
+/// What helps policies on the shipped parking lot helps them on a new one.
+#[test]
+fn a_new_parking_lot_observes_steers_and_rewards_as_the_shipped_one() {
+    let folder = folder();
+    let new = create(folder.path(), "lot", Template::Parking, &SIZES).unwrap();
+    let elements = |path: &std::path::Path| -> Vec<String> {
+        let text = fs::read_to_string(path).unwrap();
+        let kept =
+            ["<observation groups", "<control mode", "<steering maxAngle", "<reward progress"];
+        let line = |start| text.lines().map(str::trim).find(|line| line.starts_with(start));
+        kept.map(|start| line(start).unwrap_or_else(|| panic!("no {start}")).to_owned()).to_vec()
+    };
+    assert_eq!(elements(&new), elements(&root().join("scenarios/parking_lot.xml")));
+}
+
 #[test]
 fn a_parking_lot_has_room_for_any_mix_of_vehicles() {
     for agents in [1, 5, 6, 60] {
