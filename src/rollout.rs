@@ -65,10 +65,12 @@ pub struct Rollout {
     pub action: Vec<f32>,
     /// Log density of each dimension of the action, `[T, E, N, A]`.
     pub log_prob: Vec<f32>,
-    /// Correlation of each action's noise with that of the agent's action in the step before,
-    /// `[T, E, N, A]`; 0 where a trajectory or the rollout starts. Empty where noise is independent
-    /// from step to step.
-    pub kept: Vec<f32>,
+    /// Shift of each action's mean by the noise of earlier steps, in units of the scheduled
+    /// standard deviation, `[T, E, N, A]`; empty where the noise is independent from step to step.
+    pub carried: Vec<f32>,
+    /// Logarithm of the share of each dimension's standard deviation that is drawn anew at each step,
+    /// `[T, A]`; empty where the noise is independent from step to step.
+    pub log_fresh: Vec<f32>,
     /// Each agent's own reward, `[T, E, N]`.
     pub reward: Vec<f32>,
     /// Weight of each other agent's advantages or penalties, beside the agent's own part with
@@ -105,7 +107,8 @@ impl Rollout {
             graph_noise: vec![0.0; closed * sizes.graph_noise],
             action: vec![0.0; rows * sizes.actions],
             log_prob: vec![0.0; rows * sizes.actions],
-            kept: Vec::new(),
+            carried: Vec::new(),
+            log_fresh: Vec::new(),
             reward: vec![0.0; rows],
             cooperation: 0.0,
             sharing: Vec::new(),

@@ -358,9 +358,7 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         let mut settings = self.settings.clone();
         settings.ppo.entropy_coefficient = parameters.entropy_coefficient;
         let (ppo, network) = (&settings.ppo, &settings.network);
-        // The probability of an action whose noise lasts depends on the action before it.
-        let sequences = self.networks().is_recurrent() || !rollout.kept.is_empty();
-        let length = if sequences { network.chunk_length.min(rollout.sizes.steps) } else { 1 };
+        let length = if self.networks().is_recurrent() { network.chunk_length } else { 1 };
         let mut batch = Batch::new(rollout, self.device);
         // Where the policy samples graphs, the noise of graphs follows the schedule, in the policy
         // and in the value function.

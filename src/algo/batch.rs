@@ -42,9 +42,12 @@ pub struct Batch {
     pub action: Tensor,
     /// Log-probability of each dimension of the action, `[T · E, N, A]`.
     pub log_prob: Tensor,
-    /// Correlation of each action's noise with that of the agent's action in the step before,
+    /// Shift of the means by noise of earlier steps, in units of the scheduled standard deviation,
     /// `[T · E, N, A]`; empty where noise is independent from step to step.
-    pub kept: Tensor,
+    pub carried: Tensor,
+    /// Logarithm of the share of each dimension's standard deviation that is drawn anew,
+    /// `[T · E, N, A]`; `[T · E, N, 1]` with zeros where noise is independent from step to step.
+    pub log_fresh: Tensor,
     /// Advantages, normalised over the active samples, `[T · E, N]`.
     pub advantage: Tensor,
     /// Returns in units of the reward, `[T · E, N]`.
@@ -64,6 +67,13 @@ impl Batch {
             |data: &[f32], shape: &[i64]| Tensor::from_slice(data).view(shape).to_device(device);
         let start = tensor(&rollout.start, &[closed, n]);
         let empty = || Tensor::zeros([rows, n], (Kind::Float, device));
+        let steps = s.steps as i64;
+        let (fresh, dimensions) = if rollout.log_fresh.is_empty() {
+            (Tensor::zeros([steps, 1, 1, 1], (Kind::Float, device)), 1)
+        } else {
+            let dimensions = s.actions as i64;
+            (tensor(&rollout.log_fresh, &[steps, 1, 1, dimensions]), dimensions)
+        };
         let policy_graph = if s.graph_noise > 0 { closed } else { 0 };
         Self {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
@@ -79,7 +89,10 @@ impl Batch {
             value_graph: Tensor::zeros([0, n, n], (Kind::Float, device)),
             action: tensor(&rollout.action, &[rows, n, s.actions as i64]),
             log_prob: tensor(&rollout.log_prob, &[rows, n, s.actions as i64]),
-            kept: tensor(&rollout.kept, &[-1, n, s.actions as i64]),
+            carried: tensor(&rollout.carried, &[-1, n, s.actions as i64]),
+            log_fresh: fresh
+                .expand([steps, s.envs as i64, n, dimensions], false)
+                .reshape([rows, n, dimensions]),
             advantage: empty(),
             returns: empty(),
             value: empty(),
@@ -158,7 +171,8 @@ impl Batch {
             value_graph: change(&self.value_graph),
             action: change(&self.action),
             log_prob: change(&self.log_prob),
-            kept: change(&self.kept),
+            carried: change(&self.carried),
+            log_fresh: change(&self.log_fresh),
             advantage: change(&self.advantage),
             returns: change(&self.returns),
             value: change(&self.value),
@@ -169,8 +183,7 @@ impl Batch {
 
 /// A part of a minibatch, on which one copy of the networks works.
 pub struct Shard {
-    /// Sequence length L. Rows come as `[L, C]` for C sequences. Where noise lasts, a sequence also
-    /// has the row before its samples, or one after them if they begin with the rollout.
+    /// Sequence length L. Rows come as `[L, C]` for C sequences.
     pub length: i64,
     /// Rows `t · E + e`, step-major, `[L · C]`.
     rows: Tensor,
@@ -182,53 +195,10 @@ pub struct Shard {
     agents: i64,
     /// Share of the minibatch's active samples that belong to this shard.
     pub weight: f64,
-    /// Where noise lasts: the decisions on which the probabilities of the samples depend.
-    lasting: Option<Lasting>,
 }
 
-/// Which decisions a shard's samples follow, where noise lasts from step to step.
-struct Lasting {
-    /// The active samples and the decisions before them, as indices among the `L · C · N`,
-    /// ascending, `[D]`.
-    decisions: Tensor,
-    /// Place of each sample among the decisions, `[B]`.
-    samples: Tensor,
-    /// Place of the decision before each sample, `[B]`; the sample's own where its noise does not
-    /// depend on an earlier one.
-    before: Tensor,
-}
-
-impl Lasting {
-    /// Finds the decisions before `samples`, which are indices among the agents of `rows`, of which
-    /// each step has `step`.
-    fn new(rollout: &Rollout, rows: &[i64], step: usize, samples: &[i64], device: Device) -> Self {
-        let (agents, actions) = (rollout.sizes.agents, rollout.sizes.actions);
-        let follows = |sample: usize| {
-            let first = (rows[sample / agents] as usize * agents + sample % agents) * actions;
-            rollout.kept[first..first + actions].iter().any(|kept| *kept > 0.0)
-        };
-        let before = |sample: i64| {
-            if follows(sample as usize) { sample - (step * agents) as i64 } else { sample }
-        };
-        let mut decisions: Vec<i64> =
-            samples.iter().flat_map(|&sample| [before(sample), sample]).collect();
-        decisions.sort_unstable();
-        decisions.dedup();
-        let place = |index: i64| decisions.binary_search(&index).expect("is a decision") as i64;
-        let places = |of: &dyn Fn(i64) -> i64| {
-            let all: Vec<i64> = samples.iter().map(|&sample| place(of(sample))).collect();
-            Tensor::from_slice(&all).to_device(device)
-        };
-        Self {
-            samples: places(&|sample| sample),
-            before: places(&before),
-            decisions: Tensor::from_slice(&decisions).to_device(device),
-        }
-    }
-}
-
-/// Returns the shuffled minibatches of one epoch, of sequences of `length` steps. Each holds about
-/// `size` samples in up to `shards` parts; parts without an active sample are left out.
+/// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `shards`
+/// parts; parts without an active sample are left out.
 pub(super) fn minibatches(
     rollout: &Rollout,
     length: usize,
@@ -245,28 +215,18 @@ pub(super) fn minibatches(
         .clamp(1, chunks.len().max(1));
     let per_batch = chunks.len().div_ceil(count).max(1);
     let indices = |values: &[i64]| Tensor::from_slice(values).to_device(device);
-    let lasts = !rollout.kept.is_empty();
-    // A rollout of one sequence per world has no decision before its sequences.
-    let extra = usize::from(lasts && rollout.sizes.steps > length);
     let shard = |chunks: &[(usize, usize)]| {
-        let extended: Vec<_> = chunks.iter().map(|&(t, e)| (t.saturating_sub(extra), e)).collect();
-        let rows = rollout.rows(&extended, length + extra);
-        let is_sample = |i: usize| {
-            let (step, chunk) = (i / agents / chunks.len(), i / agents % chunks.len());
-            let shift = chunks[chunk].0 - extended[chunk].0;
-            (shift..shift + length).contains(&step)
-                && rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0
-        };
-        let samples: Vec<i64> =
-            (0..rows.len() * agents).filter(|&i| is_sample(i)).map(|i| i as i64).collect();
-        let lasting = || Lasting::new(rollout, &rows, chunks.len(), &samples, device);
+        let rows = rollout.rows(chunks, length);
+        let samples: Vec<i64> = (0..rows.len() * agents)
+            .filter(|&i| rollout.active[rows[i / agents] as usize * agents + i % agents] > 0.0)
+            .map(|i| i as i64)
+            .collect();
         Shard {
-            length: (length + extra) as i64,
+            length: length as i64,
             agents: agents as i64,
             first: indices(&rows[..chunks.len()]),
-            weight: samples.len() as f64,
-            lasting: lasts.then(lasting),
             rows: indices(&rows),
+            weight: samples.len() as f64,
             samples: indices(&samples),
         }
     };
@@ -291,36 +251,6 @@ impl Shard {
     /// Returns the active samples of a tensor with one entry per agent, `[rows, N, …]` to `[B, …]`.
     pub fn active(&self, tensor: &Tensor) -> Tensor {
         self.pick(&self.take(tensor))
-    }
-
-    /// Returns this shard with all decisions as samples whose actions' means a loss needs: B active
-    /// samples and, where noise lasts, the decisions before them, D in all. The head's input of
-    /// these is what [`PolicyTerms::new`](super::policy::PolicyTerms::new) reads.
-    #[must_use]
-    pub fn decisions(&self) -> Self {
-        let samples = self.lasting.as_ref().map_or(&self.samples, |lasting| &lasting.decisions);
-        Self {
-            rows: self.rows.shallow_clone(),
-            first: self.first.shallow_clone(),
-            samples: samples.shallow_clone(),
-            lasting: None,
-            ..*self
-        }
-    }
-
-    /// Returns the active samples of a tensor of the [`decisions`](Self::decisions), `[D, …]` to
-    /// `[B, …]`.
-    pub fn of_decisions(&self, x: &Tensor) -> Tensor {
-        let lasting = self.lasting.as_ref();
-        lasting.map_or_else(|| x.shallow_clone(), |lasting| x.index_select(0, &lasting.samples))
-    }
-
-    /// Returns the decision before each active sample from a tensor of the
-    /// [`decisions`](Self::decisions), `[D, …]` to `[B, …]`; the sample itself where its noise does
-    /// not depend on an earlier one.
-    pub(super) fn before(&self, x: &Tensor) -> Tensor {
-        let lasting = self.lasting.as_ref();
-        lasting.map_or_else(|| x.shallow_clone(), |lasting| x.index_select(0, &lasting.before))
     }
 
     /// Returns about the share `share` of `x: [B, ..]`, which has a row for each active sample. The

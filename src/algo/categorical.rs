@@ -79,7 +79,6 @@ impl CategoricalHead {
 mod tests {
     use tch::Device;
 
-    use super::super::decision::LastingNoise;
     use super::*;
     use crate::rng::{self, Seed};
 
@@ -100,8 +99,8 @@ mod tests {
         rng::fill_normal(&mut Seed::new(2).rng(), &mut noise);
         (noise[0], noise[1]) = (-9.0, 9.0);
         let noise = Tensor::from_slice(&noise).view([1, draws, 1]);
-        let (lasting, graph) = (LastingNoise::none(), Tensor::zeros([0], CPU));
-        let mode = ActMode::Sample { action: noise, lasting, graph };
+        let (carried, graph) = (Tensor::zeros([0], CPU), Tensor::zeros([0], CPU));
+        let mode = ActMode::Sample { action: noise, carried, graph, log_fresh: Vec::new() };
         let (choice, log_prob) = head.sample(&x, &open, &mode);
         let wanted = head.log_probs(&x, &open).get(0).get(0).exp();
         assert_eq!(wanted.double_value(&[0]), 0.0);

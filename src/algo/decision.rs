@@ -93,39 +93,16 @@ pub enum ActMode {
     Sample {
         /// Standard normal noise, `[E, N, A]`.
         action: Tensor,
-        /// How noise follows from that of the step before; empty where it is independent.
-        lasting: LastingNoise,
+        /// Shift of the mean by noise of earlier steps, in units of the scheduled standard
+        /// deviation, `[E, N, A]`; empty where noise is independent from step to step.
+        carried: Tensor,
         /// Noise of the graphs, standard logistic times the noise scale, `[E, N, ..]`; empty for
         /// policies without a graph.
         graph: Tensor,
+        /// Logarithm of the share of each dimension's standard deviation that is drawn anew, `[A]`;
+        /// empty where noise is independent from step to step.
+        log_fresh: Vec<f32>,
     },
-}
-
-/// How the noise of a decision's actions follows from that of the step before
-/// ([`Exploration::correlation`](super::settings::Exploration::correlation)).
-#[derive(Debug)]
-pub struct LastingNoise {
-    /// Correlation of each action's noise with that of the step before, `[E, N, A]`; 0 where a
-    /// trajectory starts. Empty where noise is independent from step to step.
-    pub kept: Tensor,
-    /// Mean of the noise given that of the step before, in standard deviations of the action,
-    /// `[E, N, A]`; empty where noise is independent from step to step.
-    pub mean: Tensor,
-}
-
-impl LastingNoise {
-    /// Creates noise that is independent from step to step.
-    pub fn none() -> Self {
-        let nothing = || Tensor::zeros([0], (Kind::Float, Device::Cpu));
-        Self { kept: nothing(), mean: nothing() }
-    }
-
-    /// Returns the same with `change` applied to what there is.
-    #[must_use]
-    pub(super) fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
-        let some = |x: &Tensor| if x.numel() > 0 { change(x) } else { x.shallow_clone() };
-        Self { kept: some(&self.kept), mean: some(&self.mean) }
-    }
 }
 
 impl ActMode {
@@ -149,10 +126,11 @@ impl ActMode {
     fn map(&self, change: impl Fn(&Tensor) -> Tensor) -> Self {
         match self {
             Self::Deterministic => Self::Deterministic,
-            Self::Sample { action, lasting, graph } => Self::Sample {
+            Self::Sample { action, carried, graph, log_fresh } => Self::Sample {
                 action: change(action),
-                lasting: lasting.map(&change),
+                carried: change(carried),
                 graph: change(graph),
+                log_fresh: log_fresh.clone(),
             },
         }
     }

@@ -23,8 +23,8 @@ pub struct Network {
     #[default = 128]
     #[schemars(range(min = 4, max = 4096), extend("multipleOf" = HEADS))]
     pub hidden: i64,
-    /// Steps per sequence in the update of a recurrent encoder (`gru`) and of policies whose noise
-    /// lasts (`exploration.correlation`), a divisor of `train.rollout_steps`.
+    /// Steps per sequence in the update of a recurrent encoder (`gru`), a divisor of
+    /// `train.rollout_steps`.
     #[default = 8]
     pub chunk_length: usize,
 }

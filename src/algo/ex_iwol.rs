@@ -135,11 +135,10 @@ impl Networks for ExIwol {
         let scene = Scene::of_shard(batch, shard, &batch.memory, &batch.policy_graph);
         let messages = self.trunk.forward(&scene, self.radio.as_ref());
         let [open, possible] = messages.edges(shard, &scene);
-        let read = [&messages.message, &messages.embedding];
-        let [m, f] = shard.decisions().unpacked(&messages.packing, read);
+        let [m, f] = shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let input = Tensor::cat(&[&m, &f], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &input, ppo, Ratio::Joint);
-        let world = self.world.loss(batch, shard, &shard.of_decisions(&m));
+        let world = self.world.loss(batch, shard, &m);
 
         let total = &policy.loss + iwol.lambda_world * &world + &value;
         let own = [("loss/world", &world), (EDGES[0], &open), (EDGES[1], &possible)];

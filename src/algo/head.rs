@@ -38,7 +38,7 @@ pub struct Exploration {
     /// Correlation of the noise of actions from step to step (first-order autoregressive, of
     /// constant variance). Correlated noise moves a vehicle further from its mean trajectory and so
     /// finds other orders of passing; but vehicles that must allow for it drive slowly (Hollenstein
-    /// et al., AAAI 2024). Probabilities of actions are conditional on the action of the step before.
+    /// et al., AAAI 2024). Probabilities of actions are conditional on the noise of the step before.
     /// The noise of steering is always independent from step to step
     /// ([more](../lab/decision-process.md#noise-that-lasts-in-the-throttle-alone)).
     #[schemars(range(min = 0), extend("exclusiveMaximum" = 1))]
@@ -147,12 +147,13 @@ impl GaussianHead {
     pub(super) fn sample(&self, x: &Tensor, mode: &ActMode) -> (Tensor, Tensor) {
         let (mean, log_std) = self.forward(x);
         let (mean, action, log_std) = match mode {
-            ActMode::Sample { action: noise, lasting, .. } => {
-                let (mean, log_std) = if lasting.kept.numel() > 0 {
-                    let mean = mean + log_std.exp() * &lasting.mean;
-                    (mean, log_std + log_fresh(&lasting.kept))
+            ActMode::Sample { action: noise, carried, log_fresh, .. } => {
+                let mean = shifted(&mean, &log_std, carried);
+                let log_std = if log_fresh.is_empty() {
+                    log_std
                 } else {
-                    (mean, log_std)
+                    let fresh = Tensor::from_slice(log_fresh).to_device(log_std.device());
+                    log_std + fresh
                 };
                 let action = &mean + log_std.exp() * noise;
                 (mean, action, log_std)
@@ -174,10 +175,10 @@ impl GaussianHead {
     }
 }
 
-/// Returns the logarithm of the share of the noise's standard deviation that is drawn anew in a
-/// step, where the correlation with the noise of the step before is `kept`.
-pub(super) fn log_fresh(kept: &Tensor) -> Tensor {
-    (kept.square().neg()).log1p() * 0.5
+/// Returns the mean of an action given the noise of earlier steps: `carried` is the shift by that
+/// noise, in units of the scheduled standard deviation, or empty if there is none.
+pub(super) fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
+    if carried.numel() == 0 { mean.shallow_clone() } else { mean + log_std.exp() * carried }
 }
 
 #[cfg(test)]

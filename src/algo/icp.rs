@@ -238,10 +238,9 @@ impl<D: Decomposition> Networks for Icp<D> {
         let heard = self.heard(&shard.take(&batch.memory), &keep, &comm);
         let x = Tensor::cat(&[shard.take(&batch.observation), heard], -1);
         let own = batch.memory.narrow(2, 0, self.encoder.memory());
-        let f = encode_shard(&self.encoder, &shard.decisions(), &x, &own, &batch.keep);
+        let f = encode_shard(&self.encoder, shard, &x, &own, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         // Other agents see the executed action, which is clipped to its bounds.
-        let f = shard.of_decisions(&f);
         let action = self.head.encoded(&shard.active(&batch.action)).clamp(-1.0, 1.0);
         let target = Tensor::cat(&[f.detach(), action], -1);
         let message = mean_squared_error(&self.decoder.forward(&self.show(&f)), &target);

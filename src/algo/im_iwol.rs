@@ -161,14 +161,13 @@ impl Networks for ImIwol {
 
         let f = encode_active(
             &self.policy.encoder,
-            &shard.decisions(),
+            shard,
             &[&batch.observation],
             &batch.memory,
             &batch.keep,
         );
         let (z, input) = self.policy.read(&f);
         let policy = PolicyTerms::new(batch, shard, &self.policy.head, &input, ppo, Ratio::Joint);
-        let z = shard.of_decisions(&z);
         let some = |x: &Tensor| shard.part(x, iwol.decoded);
         let world = self.policy.world.loss(batch, shard, &z);
         let prediction = self.policy.interaction.forward(&some(&z));

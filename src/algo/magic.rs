@@ -231,7 +231,7 @@ impl Networks for Magic {
         let messages = self.exchange(&scene, self.radio.as_ref());
         let [open, possible] = messages.edges(shard, &scene);
         let [message, embedding] =
-            shard.decisions().unpacked(&messages.packing, [&messages.message, &messages.embedding]);
+            shard.unpacked(&messages.packing, [&messages.message, &messages.embedding]);
         let read = Tensor::cat(&[&embedding, &message], -1);
         let policy = PolicyTerms::new(batch, shard, &self.head, &read, &settings.ppo, Ratio::Joint);
         Loss::new(
@@ -242,9 +242,7 @@ impl Networks for Magic {
         )
         .with_world(
             settings.magic.lambda_world,
-            self.world
-                .as_ref()
-                .map(|world| world.loss(batch, shard, &shard.of_decisions(&message))),
+            self.world.as_ref().map(|world| world.loss(batch, shard, &message)),
         )
     }
 

@@ -61,8 +61,8 @@ impl Networks for Mappo {
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
-        let (decisions, observation) = (shard.decisions(), [&batch.observation]);
-        let f = encode_active(&self.encoder, &decisions, &observation, &batch.memory, &batch.keep);
+        let f =
+            encode_active(&self.encoder, shard, &[&batch.observation], &batch.memory, &batch.keep);
         let policy = PolicyTerms::new(batch, shard, &self.head, &f, &settings.ppo, Ratio::Joint);
         let value = value_loss(batch, shard, &self.critic.shard(batch, shard), norm);
         Loss::new(&policy.loss + &value, &value, [], &policy)

@@ -42,7 +42,7 @@ mod sequence;
 pub mod settings;
 
 pub use channel::{Channel, ChannelNoise};
-pub use decision::{ActMode, Decision, Diagnostics, LastingNoise, Observation, Reconstruction};
+pub use decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 pub use device::{ComputeDevice, NoDevice};
 pub use error::Error;
 pub use frames::store_frames;

@@ -5,7 +5,7 @@ use tch::{Kind, Tensor, no_grad};
 use super::batch::{Batch, Shard};
 use super::categorical::CategoricalHead;
 use super::decision::ActMode;
-use super::head::{GaussianHead, log_fresh};
+use super::head::{GaussianHead, shifted};
 use super::parameters::ParameterBuilder;
 use super::ppo::{self, CLIP_RANGE, Ppo};
 use super::settings::Settings;
@@ -122,8 +122,7 @@ pub struct PolicyTerms {
 }
 
 impl PolicyTerms {
-    /// Computes the terms from what the head reads of each of the shard's
-    /// [`decisions`](Shard::decisions), `input [D, W]`.
+    /// Computes the terms from what the head reads of each active sample, `input [B, W]`.
     pub fn new(
         batch: &Batch,
         shard: &Shard,
@@ -177,20 +176,14 @@ struct Scored {
 impl Scored {
     fn new(batch: &Batch, shard: &Shard, head: &PolicyHead, input: &Tensor) -> Self {
         let action = shard.active(&batch.action);
+        let some = |tensor: &Tensor| {
+            if tensor.numel() > 0 { shard.active(tensor) } else { tensor.shallow_clone() }
+        };
         match head {
             PolicyHead::Gaussian(head) => {
-                let (means, log_std) = head.forward(input);
-                let mean = shard.of_decisions(&means);
-                let (expected, fresh) = if batch.kept.numel() > 0 {
-                    // The noise of the step before is what its action had beyond its mean, which
-                    // depends on the weights as well.
-                    let kept = shard.active(&batch.kept);
-                    let actions = shard.decisions().active(&batch.action);
-                    let noise = shard.before(&actions) - shard.before(&means);
-                    (&mean + &kept * noise, &log_std + log_fresh(&kept))
-                } else {
-                    (mean.shallow_clone(), log_std.shallow_clone())
-                };
+                let (mean, log_std) = head.forward(input);
+                let expected = shifted(&mean, &log_std, &some(&batch.carried));
+                let fresh = &log_std + shard.active(&batch.log_fresh);
                 Self {
                     log_prob: gaussian_log_prob(&expected, &fresh, &action),
                     entropy: gaussian_entropy(&fresh),
@@ -198,14 +191,7 @@ impl Scored {
                 }
             }
             PolicyHead::Categorical(head) => {
-                let available = &batch.available;
-                let open = if available.numel() > 0 {
-                    shard.active(available)
-                } else {
-                    available.shallow_clone()
-                };
-                let input = shard.of_decisions(input);
-                let (log_prob, entropy) = head.score(&input, &open, &action);
+                let (log_prob, entropy) = head.score(input, &some(&batch.available), &action);
                 Self { log_prob, entropy, bounds: None }
             }
         }
@@ -248,8 +234,9 @@ mod tests {
             graph_noise: 0,
         });
         rollout.active.fill(1.0);
-        rollout.kept = vec![KEPT; STEPS * ENVS];
-        rollout.kept[..ENVS].fill(0.0);
+        rollout.log_fresh = vec![0.5 * (1.0 - KEPT * KEPT).ln(); STEPS];
+        rollout.log_fresh[0] = 0.0;
+        rollout.carried = vec![0.0; STEPS * ENVS];
         let mut drawn = vec![0.0; STEPS * ENVS];
         rng::fill_normal(&mut Seed::new(1).rng(), &mut drawn);
         for row in 0..(STEPS + 1) * ENVS {
@@ -257,10 +244,10 @@ mod tests {
         }
         // The standard deviation is 1. The means are close to 0, and are taken as 0 here.
         for (row, drawn) in drawn.into_iter().enumerate() {
-            let kept = rollout.kept[row];
-            let noise = if kept > 0.0 { kept * rollout.action[row - ENVS] } else { 0.0 };
-            rollout.action[row] = noise + (1.0 - kept * kept).sqrt() * drawn;
-            let log_fresh = 0.5 * (1.0 - kept * kept).ln();
+            let log_fresh = rollout.log_fresh[row / ENVS];
+            let carried = if row >= ENVS { KEPT * rollout.action[row - ENVS] } else { 0.0 };
+            rollout.carried[row] = carried;
+            rollout.action[row] = carried + log_fresh.exp() * drawn;
             let half_ln_tau = 0.5 * std::f32::consts::TAU.ln();
             rollout.log_prob[row] = -0.5 * drawn * drawn - log_fresh - half_ln_tau;
         }
@@ -269,38 +256,33 @@ mod tests {
         (rollout, PolicyHead::Gaussian(head), means.shallow_clone())
     }
 
-    /// Returns the terms of a whole rollout in sequences of `length` steps, whose advantage is the
-    /// last action.
-    fn terms(rollout: &Rollout, head: &PolicyHead, length: usize, ppo: &Ppo) -> PolicyTerms {
+    /// Returns the terms of a whole rollout, whose advantage is the last action.
+    fn terms(rollout: &Rollout, head: &PolicyHead, ppo: &Ppo) -> PolicyTerms {
         let mut batch = Batch::new(rollout, Device::Cpu);
         let last = batch.action.narrow(0, ((STEPS - 1) * ENVS) as i64, ENVS as i64);
         batch.advantage = last.squeeze_dim(-1).repeat([STEPS as i64, 1]);
         let all = STEPS * ENVS;
-        let mut parts = minibatches(rollout, length, all, 1, Device::Cpu, Seed::new(2));
+        let mut parts = minibatches(rollout, 1, all, 1, Device::Cpu, Seed::new(2));
         assert!(parts.len() == 1 && parts[0].len() == 1);
         let shard = parts.remove(0).remove(0);
-        let input = shard.decisions().active(&batch.observation);
+        let input = shard.active(&batch.observation);
         PolicyTerms::new(&batch, &shard, head, &input, ppo, Ratio::Joint)
     }
 
-    /// A mean changes what is expected of its own action only, however long noise lasts. Scored with
-    /// the noise of the step before as a constant, each earlier mean would seem to change the last
-    /// action, by the correlation to the power of the steps between them.
+    /// An earlier mean is credited with a later action by the correlation to the power of the steps
+    /// between them, since a deviation from it would last.
     #[test]
-    fn the_gradient_under_lasting_noise_is_that_of_the_mean_return() {
+    fn the_gradient_under_lasting_noise_is_that_of_deviations_that_last() {
         let (rollout, head, means) = played();
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 0.0, ..Ppo::default() };
-        for length in [1, 2, 4] {
-            let loss = terms(&rollout, &head, length, &ppo).loss;
-            let gradient = Tensor::run_backward(&[loss], &[&means], false, false);
-            // The loss is a mean over all steps, and the last action's mean raises the return by 1.
-            let found = Vec::<f32>::try_from((&gradient[0] * -(STEPS as f64)).view([-1]));
-            let found = found.expect("numbers");
-            for (t, found) in found.iter().enumerate() {
-                let wanted = f32::from(u8::from(t == STEPS - 1));
-                // At least five standard errors.
-                assert!((found - wanted).abs() < 0.2, "{length}: {t}: {found}");
-            }
+        let loss = terms(&rollout, &head, &ppo).loss;
+        let gradient = Tensor::run_backward(&[loss], &[&means], false, false);
+        // The loss is a mean over all steps, and the last action's mean raises the return by 1.
+        let found = Vec::<f32>::try_from((&gradient[0] * -(STEPS as f64)).view([-1]));
+        for (t, found) in found.expect("numbers").iter().enumerate() {
+            let wanted = KEPT.powi((STEPS - 1 - t) as i32);
+            // At least five standard errors.
+            assert!((found - wanted).abs() < 0.12, "{t}: {found} {wanted}");
         }
     }
 
@@ -312,11 +294,12 @@ mod tests {
         let _ = no_grad(|| means.shallow_clone().fill_(2.0));
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 1.0, ..Ppo::default() };
         let penalty = |rollout: &Rollout| {
-            let terms = terms(rollout, &head, 1, &ppo);
+            let terms = terms(rollout, &head, &ppo);
             (&terms.loss - &terms.policy).double_value(&[])
         };
         let lasting = penalty(&rollout);
-        rollout.kept.clear();
+        rollout.carried.clear();
+        rollout.log_fresh.clear();
         let independent = penalty(&rollout);
         assert!((independent - 0.5).abs() < 1e-5, "half the squared excess: {independent}");
         assert!((lasting - independent).abs() < 1e-5, "{lasting} {independent}");

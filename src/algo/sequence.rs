@@ -200,8 +200,7 @@ impl Sequence {
         let taken = self.head.encoded(&shard.take(&batch.action));
         let read = self.of_actions(representation, &taken, order);
         let (ppo, ratio) = (&settings.ppo, Ratio::PerDimension);
-        let read = shard.decisions().pick(&read);
-        (PolicyTerms::new(batch, shard, &self.head, &read, ppo, ratio), value)
+        (PolicyTerms::new(batch, shard, &self.head, &shard.pick(&read), ppo, ratio), value)
     }
 
     /// Returns the head's input for all agents at once, `[B, N, W]`, given the actions taken, as
@@ -238,9 +237,11 @@ impl Sequence {
                 ActMode::Deterministic => {
                     self.head.sample(&read, &available, &ActMode::Deterministic)
                 }
-                ActMode::Sample { action, lasting, graph } => {
-                    let (action, lasting) = (of(action), lasting.map(of));
-                    let mode = ActMode::Sample { action, lasting, graph: graph.shallow_clone() };
+                ActMode::Sample { action, carried, graph, log_fresh } => {
+                    let carried =
+                        if carried.numel() > 0 { of(carried) } else { carried.shallow_clone() };
+                    let (graph, log_fresh) = (graph.shallow_clone(), log_fresh.clone());
+                    let mode = ActMode::Sample { action: of(action), carried, graph, log_fresh };
                     self.head.sample(&read, &available, &mode)
                 }
             };

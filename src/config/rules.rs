@@ -17,7 +17,6 @@ impl Config {
         let method = algo::capabilities(&self.algorithm).ok();
         let on_policy = method.is_none_or(|method| method.on_policy);
         let recurrent = network.encoder == settings::EncoderKind::Gru;
-        let lasts = exploration.correlation > 0.0 && on_policy;
         let team = method.is_some_and(|method| method.team);
         let cooperation = self.scenario.value("reward", "cooperation");
         let cooperation = cooperation.and_then(toml::Value::as_float).unwrap_or(0.0);
@@ -29,14 +28,8 @@ impl Config {
                 "at most 2^24 samples per rollout (rollout_steps × envs × agents)",
             ),
             (
-                &[
-                    "network.chunk_length",
-                    "train.rollout_steps",
-                    "network.encoder",
-                    "exploration.correlation",
-                ],
-                !(recurrent || lasts)
-                    || (1..=steps).contains(&chunk) && steps.is_multiple_of(chunk),
+                &["network.chunk_length", "train.rollout_steps", "network.encoder"],
+                !recurrent || (1..=steps).contains(&chunk) && steps.is_multiple_of(chunk),
                 "1 to train.rollout_steps, and a divisor of it",
             ),
             (

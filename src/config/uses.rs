@@ -116,8 +116,8 @@ impl Config {
         [
             (
                 "network.chunk_length",
-                network.encoder != EncoderKind::Gru && exploration.correlation == 0.0,
-                "network.encoder is not gru, and noise does not last (exploration.correlation)",
+                network.encoder != EncoderKind::Gru,
+                "network.encoder is not gru",
             ),
             ("exploration.log_std_end", is_learned, learned),
             ("ppo.learning_rate_follows_noise", is_learned, learned),
@@ -224,14 +224,9 @@ mod tests {
         let told = |others: &[&str], set: &str| unread(&[set.to_owned()], &config(others));
         assert_eq!(
             told(&["network.encoder=mlp"], "network.chunk_length=4"),
-            [
-                "--set network.chunk_length=4 has no effect: network.encoder is not gru, and noise does \
-                 not last (exploration.correlation)"
-            ]
+            ["--set network.chunk_length=4 has no effect: network.encoder is not gru"]
         );
-        for sequences in ["network.encoder=gru", "exploration.correlation=0.5"] {
-            assert!(told(&[sequences], "network.chunk_length=4").is_empty(), "{sequences}");
-        }
+        assert!(told(&["network.encoder=gru"], "network.chunk_length=4").is_empty());
         for (others, set) in [
             (["ppo.entropy_coefficient=0", "ppo.entropy_coefficient=0.01"], "ppo.entropy_end=0.5"),
             (

@@ -6,7 +6,7 @@ use super::last_action::LastAction;
 use super::noise::CorrelatedNoise;
 use super::{Error, Mark, Timers, timed};
 use crate::algo::settings::NoiseMode;
-use crate::algo::{self, ActMode, Algorithm, Channel, LastingNoise, Observation};
+use crate::algo::{self, ActMode, Algorithm, Channel, Observation};
 use crate::config::Config;
 use crate::env::{EpisodeRecord, Worlds};
 use crate::rng::{self, Rng, Seed};
@@ -55,13 +55,14 @@ impl Collector {
         let Exploring { policy, log_std } = player;
         let s = rollout.sizes;
         let (e, n, a) = (s.envs as i64, s.agents as i64, s.actions as i64);
-        // The noise begins anew in each iteration: it depends on the iteration's number alone.
+        // The noise starts anew in each iteration: it depends on the iteration's number alone.
         let exploration = &config.learner.exploration;
         let correlation = exploration.correlation as f32;
         let each = self.noise_lasts.iter().map(|&lasts| if lasts { correlation } else { 0.0 });
         let mut noise = CorrelatedNoise::new(s.envs * s.agents, each.collect());
         let correlated = noise.is_correlated();
-        rollout.kept.resize(if correlated { rollout.action.len() } else { 0 }, 0.0);
+        rollout.carried.resize(if correlated { rollout.action.len() } else { 0 }, 0.0);
+        rollout.log_fresh.resize(if correlated { s.steps * s.actions } else { 0 }, 0.0);
         // A scheduled standard deviation also scales the noise of communication graphs.
         let imposed = exploration.mode == NoiseMode::Schedule;
         let schedule = if imposed { log_std as f32 } else { 0.0 };
@@ -76,15 +77,24 @@ impl Collector {
             disturb_messages(config.channel, policy, rollout, t, &seed);
             let decision = timed(&mut self.timers.act, || {
                 let mut rng = seed.index(t as u64).rng();
-                noise.advance(&mut rng, |agent| continues(rollout, t, agent));
-                let mut lasting = LastingNoise::none();
+                if correlated && t > 0 {
+                    renew(
+                        &mut noise,
+                        &*self.worlds,
+                        s.actions,
+                        &seed.child("noise").index(t as u64),
+                    );
+                }
+                noise.advance(&mut rng);
+                let mut carried = Tensor::zeros([0], FLOAT);
                 if correlated {
                     let actions = rollout.at(t, s.actions);
-                    rollout.kept[actions].copy_from_slice(noise.kept());
-                    let tensor = |x: &[f32]| Tensor::from_slice(x).view([e, n, a]);
-                    lasting =
-                        LastingNoise { kept: tensor(noise.kept()), mean: tensor(noise.mean()) };
+                    rollout.carried[actions].copy_from_slice(noise.carried());
+                    rollout.log_fresh[t * s.actions..][..s.actions]
+                        .copy_from_slice(noise.log_fresh());
+                    carried = Tensor::from_slice(noise.carried()).view([e, n, a]);
                 }
+                let log_fresh = if correlated { noise.log_fresh().to_vec() } else { Vec::new() };
                 let graph = if s.graph_noise > 0 {
                     if policy.graph_lasts() {
                         rng = seed.child("graph").rng();
@@ -97,7 +107,7 @@ impl Collector {
                 };
                 let action = Tensor::from_slice(noise.drawn()).view([e, n, a]);
                 let observation = Observation::at(rollout, t, &self.memory);
-                policy.act(&observation, &ActMode::Sample { action, lasting, graph })
+                policy.act(&observation, &ActMode::Sample { action, carried, graph, log_fresh })
             });
             timed(&mut self.timers.copy, || {
                 copy_out(&decision.action, &mut rollout.action, t);
@@ -160,11 +170,20 @@ fn disturb_messages(
     }
 }
 
-/// Returns whether an agent, counted through all worlds, continues in step `t` what it did in the
-/// step before: whether the rollout has the action before this one of its trajectory.
-fn continues(rollout: &Rollout, t: usize, agent: usize) -> bool {
-    let row = |t: usize| rollout.at(t, 1).start + agent;
-    t > 0 && rollout.start[row(t)] == 0.0 && rollout.active[row(t - 1)] > 0.0
+/// Makes the noise of agents that departed in the middle of an episode independent of the agents
+/// that had their slots before.
+fn renew(noise: &mut CorrelatedNoise, worlds: &dyn Worlds, actions: usize, seed: &Seed) {
+    let mut first = 0;
+    for e in 0..worlds.count() {
+        let view = worlds.view(e);
+        for (i, start) in view.frame.start.iter().enumerate() {
+            if *start > 0.0 && view.step > 0 {
+                let at = first + i * actions;
+                noise.renew(at..at + actions, &mut seed.index(e as u64).index(i as u64).rng());
+            }
+        }
+        first += view.frame.start.len() * actions;
+    }
 }
 
 /// Stores row `t` of the rollout: the worlds' frames before decision `t`, and the policy's memory.
@@ -201,7 +220,7 @@ mod tests {
     use crate::config::Layers;
 
     /// Where vehicles steer and noise is correlated, each action has the log density of the process
-    /// that drew it, given the action of the step before, in every world and at every step.
+    /// that drew it, given the noise of the step before, in every world and at every step.
     #[test]
     fn actions_under_lasting_noise_have_the_probability_of_its_process() {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/parking_lot.xml");
@@ -218,28 +237,31 @@ mod tests {
         trainer.collect(Seed::new(2)).expect("SUMO runs");
         let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
         let (e, n) = (s.envs as i64, s.agents as i64);
-        let mut noise = vec![0.0; s.envs * s.agents * 2];
         for t in 0..s.steps {
+            let part = |array: &[f32], width: usize| {
+                Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
+            };
             let input = Observation::at(rollout, t, &Tensor::zeros([e, n, 0], FLOAT));
             let mean = trainer.learner.act(&input, &ActMode::Deterministic).action;
-            let mean = Vec::<f32>::try_from(mean.reshape([-1])).expect("numbers");
-            let (action, row) = (&rollout.action[rollout.at(t, 2)], rollout.at(t, 1).start);
-            for (k, found) in rollout.log_prob[rollout.at(t, 2)].iter().enumerate() {
-                let started = t == 0 || rollout.start[row + k / 2] > 0.0;
+            let [mean, action, carried, log_prob] = [
+                &mean,
+                &part(&rollout.action, 2),
+                &part(&rollout.carried, 2),
+                &part(&rollout.log_prob, 2),
+            ]
+            .map(|x| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers"));
+            for (k, found) in log_prob.iter().enumerate() {
                 // The dimensions are steering, whose noise never lasts, and throttle.
-                let kept = if started || k % 2 == 0 { 0.0 } else { correlation };
-                if rollout.active[row + k / 2] > 0.0 {
-                    assert_eq!(rollout.kept[2 * row + k], kept as f32, "step {t}, entry {k}");
-                    let deviation = log_std.exp() * (1.0 - kept * kept).sqrt();
-                    let expected = f64::from(mean[k]) + kept * noise[k];
-                    let z = (f64::from(action[k]) - expected) / deviation;
-                    let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
-                    assert!(
-                        (f64::from(*found) - density).abs() < 1e-3,
-                        "step {t}, entry {k}: {found} {density}"
-                    );
-                }
-                noise[k] = f64::from(action[k] - mean[k]);
+                let kept = if t == 0 || k % 2 == 0 { 0.0 } else { correlation };
+                let deviation = log_std.exp() * (1.0 - kept * kept).sqrt();
+                let expected = f64::from(mean[k]) + log_std.exp() * f64::from(carried[k]);
+                assert_eq!(carried[k] == 0.0, kept == 0.0, "step {t}, entry {k}");
+                let z = (f64::from(action[k]) - expected) / deviation;
+                let density = -0.5 * z * z - deviation.ln() - 0.5 * std::f64::consts::TAU.ln();
+                assert!(
+                    (f64::from(*found) - density).abs() < 1e-3,
+                    "step {t}, entry {k}: {found} {density}"
+                );
             }
         }
         // An update that changes nothing scores the actions alike.

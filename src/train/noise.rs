@@ -3,20 +3,25 @@
 use crate::rng::{self, Rng};
 
 /// The noise of a rollout's actions: a first-order autoregressive process with variance 1 in every
-/// dimension of every agent's action, which begins anew with each trajectory.
+/// dimension of every agent's action.
 ///
-/// Given the noise of the step before, the noise of a step is Gaussian, with the mean
-/// [`mean`](Self::mean) and the variance 1 − [`kept`](Self::kept)². That noise is the action of the
-/// step before less its mean, a(t−1) − μ(t−1), so that the probability of an action is that of
-/// N(μ(t) + kept · (a(t−1) − μ(t−1)), σ² (1 − kept²)), where both means are the policy's.
+/// Given the noise of the step before, the noise of a step is Gaussian. Its mean is the part that
+/// is [`carried`](Self::carried) over, its standard deviation the share that is drawn anew.
+/// Probabilities of actions are those of this distribution. An update takes the noise of the step
+/// before as given, a(t−1) − μ(t−1) with the mean μ of the policy that acted, although that mean
+/// depends on the weights that are learned. So an action's mean is credited with the effects of
+/// later actions as well, by the correlation to the power of the steps between them, as if a
+/// deviation from it lasted. That is no unbiased gradient of the mean return; the unbiased one
+/// learned more slowly (docs/lab/decision-process.md#the-gradient-under-noise-that-lasts).
 pub(super) struct CorrelatedNoise {
     /// Correlation of each dimension with the step before, from 0 to below 1.
     correlation: Vec<f32>,
     /// Noise of the last step.
     values: Vec<f32>,
     drawn: Vec<f32>,
-    mean: Vec<f32>,
-    kept: Vec<f32>,
+    carried: Vec<f32>,
+    log_fresh: Vec<f32>,
+    begun: bool,
 }
 
 impl CorrelatedNoise {
@@ -24,7 +29,9 @@ impl CorrelatedNoise {
     /// to below 1.
     pub(super) fn new(agents: usize, correlation: Vec<f32>) -> Self {
         let zeros = || vec![0.0; agents * correlation.len()];
-        Self { values: zeros(), drawn: zeros(), mean: zeros(), kept: zeros(), correlation }
+        let (values, drawn, carried) = (zeros(), zeros(), zeros());
+        let log_fresh = vec![0.0; correlation.len()];
+        Self { correlation, values, drawn, carried, log_fresh, begun: false }
     }
 
     /// Returns whether the noise of any dimension is correlated from step to step.
@@ -32,17 +39,26 @@ impl CorrelatedNoise {
         self.correlation.iter().any(|&correlation| correlation > 0.0)
     }
 
-    /// Draws the next step's noise. It begins anew where `lasts`, by the number of an agent, is
-    /// false. The result depends only on `rng` and, where it lasts, on the earlier steps.
-    pub(super) fn advance(&mut self, rng: &mut Rng, lasts: impl Fn(usize) -> bool) {
+    /// Draws the next step's noise. The result depends only on `rng` and on the earlier steps.
+    pub(super) fn advance(&mut self, rng: &mut Rng) {
         rng::fill_normal(rng, &mut self.drawn);
-        let width = self.correlation.len();
-        for (i, drawn) in self.drawn.iter().enumerate() {
-            let kept = if lasts(i / width) { self.correlation[i % width] } else { 0.0 };
-            self.kept[i] = kept;
-            self.mean[i] = kept * self.values[i];
-            self.values[i] = self.mean[i] + (1.0 - kept * kept).sqrt() * drawn;
+        // The first step has no step before it, but its noise has the same variance.
+        for (d, &correlation) in self.correlation.iter().enumerate() {
+            let kept = if self.begun { correlation } else { 0.0 };
+            let fresh = (1.0 - kept * kept).sqrt();
+            self.log_fresh[d] = fresh.ln();
+            for i in (d..self.drawn.len()).step_by(self.correlation.len()) {
+                self.carried[i] = kept * self.values[i];
+                self.values[i] = self.carried[i] + fresh * self.drawn[i];
+            }
         }
+        self.begun = true;
+    }
+
+    /// Makes the noise of these entries independent of the steps before: that of an agent that takes
+    /// over a slot. Its strength remains the same.
+    pub(super) fn renew(&mut self, entries: std::ops::Range<usize>, rng: &mut Rng) {
+        rng::fill_normal(rng, &mut self.values[entries]);
     }
 
     /// Returns the current step's noise.
@@ -56,13 +72,13 @@ impl CorrelatedNoise {
     }
 
     /// Returns the mean of the current step's noise given the step before.
-    pub(super) fn mean(&self) -> &[f32] {
-        &self.mean
+    pub(super) fn carried(&self) -> &[f32] {
+        &self.carried
     }
 
-    /// Returns the correlation of the current step's noise with that of the step before.
-    pub(super) fn kept(&self) -> &[f32] {
-        &self.kept
+    /// Returns the logarithm of the factor on the [`drawn`](Self::drawn) numbers of each dimension.
+    pub(super) fn log_fresh(&self) -> &[f32] {
+        &self.log_fresh
     }
 }
 
@@ -84,16 +100,15 @@ mod tests {
             let mut rng = Seed::new(seed).rng();
             let mut noise = CorrelatedNoise::new(COUNT, vec![correlation]);
             let whole = |noise: &CorrelatedNoise| {
-                let fresh = |kept: f32| (1.0 - kept * kept).sqrt();
-                let parts = noise.mean().iter().zip(noise.kept()).zip(noise.drawn());
-                parts.map(|((mean, kept), drawn)| mean + fresh(*kept) * drawn).collect::<Vec<_>>()
+                let fresh = noise.log_fresh()[0].exp();
+                let parts = noise.carried().iter().zip(noise.drawn());
+                parts.map(|(carried, drawn)| carried + fresh * drawn).collect::<Vec<_>>()
             };
-            noise.advance(&mut rng, |_| false);
+            noise.advance(&mut rng);
             let mut before = whole(&noise);
             for _ in 0..4 {
-                noise.advance(&mut rng, |_| true);
+                noise.advance(&mut rng);
                 let now = whole(&noise);
-                prop_assert!(now.iter().zip(noise.values()).all(|(a, b)| (a - b).abs() < 1e-5));
                 let mean = |of: &dyn Fn(usize) -> f32| {
                     (0..COUNT).map(|i| f64::from(of(i))).sum::<f64>() / COUNT as f64
                 };
@@ -108,17 +123,17 @@ mod tests {
     }
 
     #[test]
-    fn noise_that_begins_anew_does_not_depend_on_the_past() {
-        let anew = |past: u64| {
-            let mut noise = CorrelatedNoise::new(2, vec![0.9, 0.5]);
-            noise.advance(&mut Seed::new(past).rng(), |_| false);
-            noise.advance(&mut Seed::new(8).rng(), |agent| agent == 0);
-            assert_eq!(noise.kept(), [0.9, 0.5, 0.0, 0.0]);
-            noise.values().to_vec()
+    fn renewed_entries_do_not_depend_on_the_past() {
+        let renewed = |past: u64| {
+            let mut noise = CorrelatedNoise::new(4, vec![0.9]);
+            noise.advance(&mut Seed::new(past).rng());
+            noise.renew(2..4, &mut Seed::new(7).rng());
+            noise.advance(&mut Seed::new(8).rng());
+            noise.carried().to_vec()
         };
-        let (a, b) = (anew(1), anew(2));
+        let (a, b) = (renewed(1), renewed(2));
         assert_eq!(a[2..], b[2..]);
-        assert!(a[0] != b[0] && a[1] != b[1]);
+        assert!(a[0] != b[0] && a[1] != b[1] && a[2] != 0.0);
     }
 
     #[test]
@@ -129,9 +144,9 @@ mod tests {
         assert!(!noise.is_correlated());
         for _ in 0..3 {
             rng::fill_normal(&mut same, &mut drawn);
-            noise.advance(&mut rng, |_| true);
-            assert_eq!((noise.drawn(), noise.values()), (&drawn[..], &drawn[..]));
-            assert!(noise.mean().iter().chain(noise.kept()).all(|&x| x == 0.0));
+            noise.advance(&mut rng);
+            assert_eq!(noise.drawn(), drawn);
+            assert!(noise.carried().iter().all(|&x| x == 0.0) && noise.log_fresh() == [0.0, 0.0]);
         }
     }
 
@@ -140,10 +155,12 @@ mod tests {
         let mut noise = CorrelatedNoise::new(5, vec![0.0, 0.9]);
         assert!(noise.is_correlated());
         for t in 0..3 {
-            noise.advance(&mut Seed::new(t).rng(), |_| t > 0);
+            noise.advance(&mut Seed::new(t).rng());
         }
-        for (kept, mean) in noise.kept().chunks(2).zip(noise.mean().chunks(2)) {
-            assert!(kept == [0.0, 0.9] && mean[0] == 0.0 && mean[1] != 0.0, "{kept:?} {mean:?}");
+        let fresh = [0.0, 0.5 * (1.0_f32 - 0.81).ln()];
+        assert!(noise.log_fresh().iter().zip(fresh).all(|(x, y)| (x - y).abs() < 1e-5));
+        for pair in noise.carried().chunks(2) {
+            assert!(pair[0] == 0.0 && pair[1] != 0.0, "{pair:?}");
         }
     }
 }

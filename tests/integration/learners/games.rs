@@ -1,9 +1,7 @@
 //! Learning itself, in games of two agents.
 
 use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{
-    self, ActMode, CommunicationScope, LastingNoise, Observation, UpdateParameters,
-};
+use iwol_sumo::algo::{self, ActMode, CommunicationScope, Observation, UpdateParameters};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
 use tch::{Device, Kind, Tensor};
@@ -119,8 +117,9 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
             } else {
                 Tensor::zeros([0], (Kind::Float, Device::Cpu))
             };
-            let (action, lasting) = (shaped(&eps, 1), LastingNoise::none());
-            let decision = learner.act(&input, &ActMode::Sample { action, lasting, graph });
+            let (action, carried, log_fresh) = (shaped(&eps, 1), nothing(), Vec::new());
+            let decision =
+                learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
             let numbers =
                 |tensor: &Tensor| Vec::<f32>::try_from(tensor.reshape([-1])).expect("numbers");
             let (actions, log_probs) = (numbers(&decision.action), numbers(&decision.log_prob));

@@ -9,9 +9,7 @@ mod states;
 mod updates;
 
 use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{
-    self, ActMode, Algorithm, LastingNoise, Observation, Settings, UpdateParameters,
-};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Observation, Settings, UpdateParameters};
 use iwol_sumo::env::{ActionDimension, EnvSpec, Feature, Features, Group};
 use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::rollout::{Rollout, Sizes};
@@ -106,8 +104,8 @@ fn act(learner: &dyn Algorithm, x: &Tensor, comm: &Tensor) -> Vec<Vec<f32>> {
         (Kind::Float, Device::Cpu),
     );
     let input = observation(learner, x.copy(), comm.copy());
-    let (action, graph, lasting) = (zero, open, LastingNoise::none());
-    let decision = learner.act(&input, &ActMode::Sample { action, lasting, graph });
+    let (action, graph, carried, log_fresh) = (zero, open, nothing(), Vec::new());
+    let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
     Vec::try_from(decision.action.view([n, 1])).expect("actions")
 }
 

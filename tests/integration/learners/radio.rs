@@ -1,9 +1,7 @@
 //! Training hears what an evaluation hears: few bits, delays and false messages.
 
 use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{
-    self, ActMode, Algorithm, Channel, ChannelNoise, LastingNoise, Observation, Settings,
-};
+use iwol_sumo::algo::{self, ActMode, Algorithm, Channel, ChannelNoise, Observation, Settings};
 use iwol_sumo::rng::{self, Seed};
 use tch::{Device, Kind, Tensor};
 
@@ -62,9 +60,9 @@ fn training_hears_what_an_evaluation_hears() {
                     replaced: nothing(),
                     available: nothing(),
                 };
-                let (action, lasting) = (zeros(&[2, AGENTS, 1]), LastingNoise::none());
+                let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
                 let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
-                let mode = ActMode::Sample { action, lasting, graph };
+                let mode = ActMode::Sample { action, carried, graph, log_fresh: Vec::new() };
                 let trained = learner.act(&input(&memory), &mode);
                 let noise = ChannelNoise {
                     lost: zeros(&[2, AGENTS, AGENTS]),

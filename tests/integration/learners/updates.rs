@@ -1,15 +1,15 @@
 //! What an update changes, and from which samples it learns.
 
 use iwol_sumo::algo::settings::EncoderKind;
-use iwol_sumo::algo::{self, ActMode, Algorithm, CommunicationScope, LastingNoise, Observation};
+use iwol_sumo::algo::{self, ActMode, Algorithm, CommunicationScope, Observation};
 use iwol_sumo::env::{ActionDimension, EnvSpec};
 use iwol_sumo::rng::Seed;
 use iwol_sumo::rollout::Rollout;
 use tch::{Device, Kind, Tensor};
 
 use super::{
-    PACE, STILL, bits, build, complete, each, loud, noise, observation, random_rollout, reported,
-    rollout_of, rollout_with, small, spec,
+    PACE, STILL, bits, build, complete, each, loud, noise, nothing, observation, random_rollout,
+    reported, rollout_of, rollout_with, small, spec,
 };
 
 /// Every method learns with the discount of its settings.
@@ -149,7 +149,8 @@ fn shards_decide_as_one_does() {
             settings.channel.delay = u32::from(encoder == EncoderKind::Mlp);
             let learner = loud(name, &spec(AGENTS), &settings);
             let mut rollout = rollout_of(&*learner, WORLDS, AGENTS, 3, false);
-            rollout.kept = vec![0.5; rollout.action.len()];
+            rollout.carried = vec![0.5; rollout.action.len()];
+            rollout.log_fresh = vec![-0.5; rollout.sizes.steps];
             rollout.sizes.steps = 2;
             decide(&*learner, &mut rollout);
             [rollout.action, rollout.log_prob, rollout.memory]
@@ -175,15 +176,14 @@ fn an_update_sees_the_policy_that_acted() {
         let mut rollout = rollout_with(&*learner, 4, 3, true);
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout);
-        // Log-probabilities of noise that lasts are conditional on the action of the step before.
-        let row = rollout.at(0, 1).len();
-        let continues =
-            |i: &usize| *i >= row && rollout.start[*i] == 0.0 && rollout.active[i - row] > 0.0;
-        let kept = (0..rollout.action.len()).map(|i| if continues(&i) { 0.8 } else { 0.0 });
-        rollout.kept = kept.collect();
+        // Log-probabilities of correlated noise are conditional on the noise of the step before.
+        rollout.carried =
+            Vec::try_from(noise(71, &[rollout.action.len() as i64])).expect("numbers");
+        rollout.log_fresh =
+            (0..rollout.sizes.steps).map(|t| if t == 0 { 0.0 } else { -0.5 }).collect();
         decide(&*learner, &mut rollout);
         nothing_moved(name, encoder, &mut *learner, &rollout);
-        let changed = Rollout { kept: Vec::new(), ..rollout };
+        let changed = Rollout { carried: Vec::new(), log_fresh: Vec::new(), ..rollout };
         let losses = learner.update(&changed, &STILL, Seed::new(4)).expect("finite");
         let kl = reported(&losses, "ppo/approx_kl");
         assert!(
@@ -199,7 +199,6 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
     let s = rollout.sizes;
     let (e, n) = (s.envs as i64, s.agents as i64);
     let mut memory = Tensor::zeros([e, n, s.memory as i64], (Kind::Float, Device::Cpu));
-    let mut before = Tensor::zeros([e, n, 1], (Kind::Float, Device::Cpu));
     for t in 0..s.steps {
         let part = |array: &[f32], width: usize| {
             Tensor::from_slice(&array[rollout.at(t, width)]).view([e, n, -1])
@@ -211,15 +210,11 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
             Tensor::zeros([0], (Kind::Float, Device::Cpu))
         };
         let eps = noise(50 + t as u64, &[e, n, 1]);
-        let lasting = if rollout.kept.is_empty() {
-            LastingNoise::none()
-        } else {
-            let kept = part(&rollout.kept, 1);
-            let mean = &kept * &before;
-            before = &mean + (kept.square() * -1.0 + 1.0).sqrt() * &eps;
-            LastingNoise { kept, mean }
-        };
-        let decision = learner.act(&input, &ActMode::Sample { action: eps, lasting, graph });
+        let correlated = !rollout.carried.is_empty();
+        let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
+        let fresh = rollout.log_fresh.get(t).map_or_else(Vec::new, |fresh| vec![*fresh]);
+        let (action, graph, carried, log_fresh) = (eps, graph, carried, fresh);
+        let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
         let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
         rollout.memory[cells].copy_from_slice(&numbers(&memory));
