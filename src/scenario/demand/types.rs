@@ -14,6 +14,19 @@ use crate::sumo::net::{class_of_sumo, did_you_mean, nearest};
 /// Ids of types that the environments define themselves.
 const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
 
+/// Numbers of a type, and of its car-following model, that SUMO reads without a look at them, with
+/// their largest value. Beyond these limits SUMO's vehicles do not move, or never stop.
+const NUMBERS: [(&str, f64); 8] = [
+    ("accel", 100.0),
+    ("decel", 100.0),
+    ("apparentDecel", 100.0),
+    ("emergencyDecel", 100.0),
+    ("minGap", 1000.0),
+    ("sigma", 1.0),
+    ("speedDev", 10.0),
+    ("tau", 1000.0),
+];
+
 /// Largest scale of a type: vehicles that depart instead of one.
 const MAX_SCALE: f64 = 1000.0;
 
@@ -36,6 +49,12 @@ impl Demand {
             if !model.has_tag_name("param") {
                 reader.expect_children(model, &[], false)?;
                 self.count_unknown(reader, model, &CAR_FOLLOWING);
+            }
+        }
+        for part in node.descendants() {
+            for (name, most) in NUMBERS.into_iter().filter(|(name, _)| part.has_attribute(*name)) {
+                let allowed = format!("number from 0 to {most}");
+                reader.number(part, name, &allowed, |v| (0.0..=most).contains(&v))?;
             }
         }
         let default = DEFAULT_TYPES.iter().position(|known| *known == id);

@@ -17,6 +17,12 @@ fn mistakes_have_their_place() {
         ("<vType id=\"agent\"/>", "`agent` is not a valid id of <vType>"),
         ("<vType id=\"x\" vClass=\"shipp\"/>", "`shipp` is not a valid vClass"),
         ("<vType id=\"x\"/><vType id=\"x\"/>", "a second vehicle type"),
+        ("<vType id=\"x\" accel=\"nan\"/>", "`nan` is not a valid accel of <vType>"),
+        ("<vType id=\"x\" decel=\"-4\"/>", "`-4` is not a valid decel of <vType>"),
+        (
+            "<vType id=\"x\"><carFollowing-Krauss sigma=\"5\"/></vType>",
+            "`5` is not a valid sigma of <carFollowing-Krauss>",
+        ),
         (
             "<vehicle id=\"v\" type=\"y\" depart=\"0\"><route edges=\"a\"/></vehicle>",
             "`y` is not a valid type",
