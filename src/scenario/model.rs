@@ -81,8 +81,8 @@ element! {
         /// Whether the last edge is a destination for one vehicle only: an episode does not draw
         /// two reserved routes that end on the same edge.
         pub reserved: bool,
-        /// Factor on the progress and speed rewards while a vehicle that steers is off the lanes of
-        /// its route. Default: 1.
+        /// Factor on the speed reward, and on the progress reward of driving forwards, while a
+        /// vehicle that steers is off the lanes of its route, from -1 to 1. Default: 1.
         pub off_lane: f64,
     }
 }

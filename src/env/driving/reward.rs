@@ -99,16 +99,21 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
 }
 
 /// Returns what is left of a reward for progress where the vehicle has the lateral offset `lateral`
-/// from the centre line of a lane that is `width` wide, both in metres. `weight` is [`Reward::lane_keeping`]. Negative
-/// rewards stay whole, so that no step earns more than without lane keeping.
+/// from the centre line of a lane that is `width` wide, both in metres. `weight` is
+/// [`Reward::lane_keeping`], and `factor`, at most 1, that of the lanes on which the vehicle is
+/// ([`Route::off_lane`](crate::scenario::Route::off_lane)). What driving back costs stays whole, so
+/// that a vehicle that drives to and fro gains nothing, wherever it does.
 ///
-/// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`use_lateral_reward`), which reduces
-/// negative rewards as well.
-fn kept_progress(weight: f64, progress: f64, lateral: f64, width: f64) -> f64 {
-    if progress > 0.0 {
-        progress * (1.0 - weight * (2.0 * lateral.abs() / width).min(1.0))
-    } else {
+/// Source: MetaDrive, `metadrive/envs/metadrive_env.py` (`positive_road`, `use_lateral_reward`),
+/// which multiplies the rewards of driving back as well.
+fn kept_progress(weight: f64, factor: f64, progress: f64, lateral: f64, width: f64) -> f64 {
+    let forwards = factor * progress;
+    if progress <= 0.0 {
         progress
+    } else if forwards > 0.0 {
+        forwards * (1.0 - weight * (2.0 * lateral.abs() / width).min(1.0))
+    } else {
+        forwards
     }
 }
 
@@ -133,8 +138,8 @@ fn reward(task: &Task, steers: bool, slot: &Slot, distance: f64) -> f64 {
         // Agents of route files are on routes that the scenario does not list.
         let listed = task.scenario.routes.get(slot.route).filter(|_| is_off);
         let factor = listed.map_or(1.0, |route| route.off_lane);
-        let progress = factor * rewards.progress * distance;
-        kept_progress(rewards.lane_keeping, progress, slot.lateral, lane)
+        let progress = rewards.progress * distance;
+        kept_progress(rewards.lane_keeping, factor, progress, slot.lateral, lane)
             + factor * rewards.speed * speed / Reward::SPEED_UNIT
     }
 }
@@ -146,18 +151,21 @@ mod tests {
     use super::kept_progress;
 
     proptest! {
-        /// No step earns more with lane keeping than without, forwards or backwards. So a vehicle
-        /// that drives to and fro gains no progress reward by it, and on the centre line nothing changes.
+        /// Lane keeping and lanes of others only take, so that a vehicle that drives to and fro
+        /// gains no reward for progress, whatever lanes it drives on. On the centre line of its own
+        /// lanes nothing changes.
         #[test]
-        fn lane_keeping_only_takes(
+        fn to_and_fro_gains_nothing(
             weight in 0.0..=1.0f64,
-            progress in -2.0..2.0f64,
-            lateral in -4.0..4.0f64,
+            distance in 0.0..2.0f64,
+            factors in [-1.0..=1.0f64, -1.0..=1.0f64],
+            laterals in [-4.0..4.0f64, -4.0..4.0f64],
         ) {
-            let kept = kept_progress(weight, progress, lateral, 3.5);
-            prop_assert!(kept <= progress && kept >= progress.min(0.0), "{kept}");
-            prop_assert_eq!(kept_progress(weight, progress, 0.0, 3.5), progress);
-            prop_assert_eq!(kept_progress(0.0, progress, lateral, 3.5), progress);
+            let there = kept_progress(weight, factors[0], distance, laterals[0], 3.5);
+            let back = kept_progress(weight, factors[1], -distance, laterals[1], 3.5);
+            prop_assert!(there <= distance && there + back <= 0.0, "{there} {back}");
+            prop_assert_eq!(kept_progress(weight, 1.0, distance, 0.0, 3.5), distance);
+            prop_assert_eq!(kept_progress(0.0, 1.0, distance, laterals[0], 3.5), distance);
         }
     }
 }

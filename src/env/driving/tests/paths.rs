@@ -267,8 +267,8 @@ fn the_reward_for_speed_is_for_its_magnitude() {
 }
 
 /// With `laneKeeping`, an agent loses a share of its reward for progress in proportion to its
-/// distance from the centre line of its route, up to half a lane's width. Where progress is negative,
-/// as that off the lane with a negative `offLane`, nothing is lost.
+/// distance from the centre line of its route, up to half a lane's width. Where it drives back, or
+/// off the lane with a negative `offLane`, nothing is lost.
 #[test]
 fn keeping_the_lane_is_rewarded_where_the_scenario_asks_for_it() {
     let there = Snapshot {
@@ -304,7 +304,7 @@ fn keeping_the_lane_is_rewarded_where_the_scenario_asks_for_it() {
         assert!(reward <= free.1, "nothing is gained: {free:?} {kept:?}");
         let is_off = lateral > width / 2.0 + BESIDE;
         let lost = if driving {
-            let progress = if is_off { -driven } else { driven };
+            let progress = if is_off { -driven.abs() } else { driven };
             0.5 * (lateral / (width / 2.0)).min(1.0) * progress.max(0.0)
         } else {
             0.0
