@@ -14,8 +14,8 @@ use crate::sumo::net::{class_of_sumo, did_you_mean, nearest};
 /// Ids of types that the environments define themselves.
 const TAKEN: [&str; 2] = ["agent", "sumo_driver"];
 
-/// Numbers of a type, and of its car-following model, that SUMO reads without a look at them, with
-/// their largest value. Beyond these limits SUMO's vehicles do not move, or never stop.
+/// Numbers of a type, and of its car-following model, of which SUMO checks no range, with the largest
+/// value that is taken.
 const NUMBERS: [(&str, f64); 8] = [
     ("accel", 100.0),
     ("decel", 100.0),
