@@ -29,14 +29,14 @@ const OWN: [Described; 8] = [
     ("y", "half the height of the routes' bounding box, from its middle", -1.0, 1.0),
     ("heading_cos", "1", -1.0, 1.0),
     ("heading_sin", "1", -1.0, 1.0),
-    ("speed", "22.2 m/s", 0.0, 1.0),
+    ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("last_action", "1", -1.0, 1.0),
     ("to_arrival", "{long} m", -1.0, 1.0),
     ("time_left", "share of the horizon", 0.0, 1.0),
 ];
 const VEHICLE: [Described; 5] = [
     ("distance", "{far} m", -1.0, 1.0),
-    ("speed", "22.2 m/s", 0.0, 1.0),
+    ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("last_action", "1", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
@@ -97,7 +97,7 @@ fn write_own(view: &View<'_>, w: &mut Writer<'_>) {
         centred(own.pose.y, y0, y1),
         cos,
         sin,
-        own.speed.max(0.0) / SPEED,
+        own.speed / SPEED,
         own.action,
         (view.route().arrival - own.s) / view.scales().long,
         view.time_left,
@@ -181,7 +181,7 @@ fn put_vehicles(
 ) {
     let vehicle = |(distance, j): (f64, usize)| {
         let other = &view.traffic.slots[j];
-        let speed = other.speed.max(0.0) / SPEED;
+        let speed = other.speed / SPEED;
         [distance / view.scales().far, speed, other.action, moving(other.status), 1.0]
     };
     w.tokens(&VEHICLE, count, vehicles.map(vehicle));

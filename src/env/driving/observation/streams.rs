@@ -17,7 +17,7 @@ const STREAM: [Described; 4] = [
 const VEHICLE: [Described; 5] = [
     ("to_conflict_far", "{far} m", -1.0, 1.0),
     ("to_conflict_near", "{near} m", -1.0, 1.0),
-    ("speed", "22.2 m/s", 0.0, 1.0),
+    ("speed", "22.2 m/s, negative backwards", -1.0, 1.0),
     ("moving", "flag", 0.0, 1.0),
     ("present", "flag", 0.0, 1.0),
 ];
@@ -47,7 +47,7 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     let (settings, scales) = (&view.scenario.observation, view.scales());
     let vehicle = |(distance, j): (f64, usize)| {
         let other = &view.traffic.slots[j];
-        let speed = other.speed.max(0.0) / SPEED;
+        let speed = other.speed / SPEED;
         [distance / scales.far, distance / scales.near, speed, moving(other.status), 1.0]
     };
     let conflicts = route.upcoming(own.s, settings.conflict_streams);

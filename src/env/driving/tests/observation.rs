@@ -239,3 +239,53 @@ proptest! {
         }
     }
 }
+
+/// Vehicles that drive backwards have a negative speed, for others in the observation and for all
+/// in the state.
+#[test]
+fn speeds_backwards_are_negative() {
+    let mut scenario = scenario("parking_lot");
+    scenario.observation.groups = ObservationGroups::Both;
+    scenario.observation.conflict_streams = 2;
+    scenario.observation.stream_vehicles = 3;
+    let task = Arc::new(Task::new(&scenario, 5).expect("a task"));
+    let there = Snapshot {
+        vehicles: vec![Some(VehicleState { distance: 0.0, speed: 0.0 }); 5],
+        ..Snapshot::default()
+    };
+    let mut world = world(&task, 0);
+    world.reset(0);
+    for _ in 0..8 {
+        world.act(0, &[0.0, -1.0].repeat(5), &mut Vec::new());
+        world.observe(0, &there).expect("all are there");
+    }
+    let frame = world.frame();
+    let active: Vec<usize> = (0..5).filter(|&i| frame.active[i] > 0.0).collect();
+    assert!(!active.is_empty(), "some drive");
+    let (mut own, mut others) = (0, [0; 2]);
+    for (part, features, values) in [
+        (0, &task.spec.observation, &frame.observation),
+        (1, &task.spec.state, &frame.state),
+    ] {
+        let width = features.len();
+        for &i in &active {
+            let row = &values[i * width..(i + 1) * width];
+            let named = |name: &str| features.list.iter().position(|f| f.name == name);
+            for (feature, &value) in features.list.iter().zip(row) {
+                let Some(token) = feature.name.strip_suffix(".speed") else { continue };
+                if token == "own" {
+                    assert!(value < 0.0, "{} = {value}", feature.name);
+                    own += 1;
+                }
+                if let Some(present) = named(&format!("{token}.present"))
+                    && row[present] > 0.0
+                {
+                    assert!(value < 0.0, "{} = {value}", feature.name);
+                    others[part] += 1;
+                }
+            }
+        }
+    }
+    assert_eq!(own, active.len());
+    assert!(others.iter().all(|&seen| seen > 0), "others are seen: {others:?}");
+}
