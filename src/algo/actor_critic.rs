@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use rayon::prelude::*;
 use tch::{Device, Kind, Tensor, no_grad};
 
-use super::batch::{Batch, Shard, graph_noise, minibatches};
+use super::batch::{Batch, Part, graph_noise, minibatches};
 use super::decision::{ActMode, Decision, Diagnostics, Observation, Reconstruction};
 use super::device::act_on;
 use super::means::{Means, scalar};
@@ -52,6 +52,15 @@ fn divided(envs: i64, parts: usize) -> Vec<Range<i64>> {
 
 /// Named numbers of a minibatch or of a part of one.
 type Report = Vec<(&'static str, f64)>;
+
+/// Adds the numbers of another part of the same minibatch to `sums`.
+fn add(sums: &mut Report, other: impl Iterator<Item = (&'static str, f64)>) {
+    if sums.is_empty() {
+        sums.extend(other);
+    } else {
+        sums.iter_mut().zip(other).for_each(|(sum, (_, value))| sum.1 += value);
+    }
+}
 
 /// An algorithm whose networks are trained by proximal policy optimisation.
 pub(super) struct ActorCritic<N> {
@@ -239,23 +248,25 @@ impl<N: Networks> ActorCritic<N> {
     fn step(
         &mut self,
         batch: &Batch,
-        shards: Vec<Shard>,
+        parts: Vec<Part>,
         settings: &Settings,
         rate: impl Fn(ParameterGroup) -> Option<f64>,
     ) -> Result<Report, Error> {
         // The reference updates the normalisation in every evaluation of the value loss.
         let returns: Vec<Tensor> =
-            shards.iter().map(|shard| shard.active(&batch.returns)).collect();
+            parts.iter().flatten().map(|shard| shard.active(&batch.returns)).collect();
         self.value_norm.update(&Tensor::cat(&returns, 0));
         let norm = self.value_norm;
-        let items: Vec<_> = shards.into_iter().map(|shard| (batch.share(), shard)).collect();
-        let reports = self.parallel(self.own(items), |networks, (batch, shard)| {
-            let loss = networks.loss(&batch, &shard, settings, &norm);
-            (&loss.total * shard.weight).backward();
-            loss.report
-                .iter()
-                .map(|(name, value)| (*name, shard.weight * scalar(value)))
-                .collect::<Report>()
+        let items: Vec<_> = parts.into_iter().map(|part| (batch.share(), part)).collect();
+        let reports = self.parallel(self.own(items), |networks, (batch, part)| {
+            let mut sums = Report::new();
+            for shard in &part {
+                let loss = networks.loss(&batch, shard, settings, &norm);
+                (&loss.total * shard.weight).backward();
+                let weighted = |(name, value)| (name, shard.weight * scalar(&value));
+                add(&mut sums, loss.report.into_iter().map(weighted));
+            }
+            sums
         });
         let mut report = self.gather_reports(&reports);
         if self.ranks.size() > 1 {
@@ -376,11 +387,11 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         for epoch in 0..ppo.epochs {
             let order = seed.child("epoch").index(epoch as u64);
             let pass = self.passes;
-            for shards in
+            for parts in
                 minibatches(rollout, length, ppo.minibatch, self.shards, self.device, order)
             {
                 let rate = |group| N::rate(group, pass, parameters.learning_rate);
-                means.add(&self.step(&batch, shards, &settings, rate)?);
+                means.add(&self.step(&batch, parts, &settings, rate)?);
             }
             self.passes += 1;
         }

@@ -181,7 +181,15 @@ impl Batch {
     }
 }
 
-/// A part of a minibatch, on which one copy of the networks works.
+/// Most samples that networks on a CPU take at once. A larger part of a minibatch is taken in several
+/// passes, whose gradients are added up: the results of operations on more samples leave the caches,
+/// and their memory is fetched from the system anew (docs/lab/speed.md#minibatches-in-parts).
+const MOST_SAMPLES: usize = 8192;
+
+/// The shards of a minibatch that one copy of the networks takes, one after the other.
+pub(super) type Part = Vec<Shard>;
+
+/// Samples of a minibatch that the networks take at once.
 pub struct Shard {
     /// Sequence length L. Rows come as `[L, C]` for C sequences.
     pub length: i64,
@@ -197,16 +205,16 @@ pub struct Shard {
     pub weight: f64,
 }
 
-/// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `shards`
-/// parts; parts without an active sample are left out.
+/// Returns the shuffled minibatches of one epoch. Each holds about `size` samples in up to `parts`
+/// parts for the copies of the networks; parts without an active sample are left out.
 pub(super) fn minibatches(
     rollout: &Rollout,
     length: usize,
     size: usize,
-    shards: usize,
+    parts: usize,
     device: Device,
     seed: Seed,
-) -> Vec<Vec<Shard>> {
+) -> Vec<Vec<Part>> {
     let agents = rollout.sizes.agents;
     let mut chunks = rollout.chunks(length);
     rng::shuffle(&mut seed.rng(), &mut chunks);
@@ -230,12 +238,18 @@ pub(super) fn minibatches(
             samples: indices(&samples),
         }
     };
+    let most = if device.is_cuda() { usize::MAX } else { MOST_SAMPLES / (length * agents).max(1) };
+    let part = |chunks: &[(usize, usize)]| -> Part {
+        let passes = chunks.len().div_ceil(most.max(1));
+        let shards = chunks.chunks(chunks.len().div_ceil(passes)).map(shard);
+        shards.filter(|shard| shard.weight > 0.0).collect()
+    };
     let minibatch = |chunks: &[(usize, usize)]| {
-        let parts = chunks.chunks(chunks.len().div_ceil(shards.max(1)).max(1));
-        let mut parts: Vec<Shard> = parts.map(shard).filter(|shard| shard.weight > 0.0).collect();
-        let all: f64 = parts.iter().map(|part| part.weight).sum();
-        for part in &mut parts {
-            part.weight /= all;
+        let parts = chunks.chunks(chunks.len().div_ceil(parts.max(1)).max(1)).map(part);
+        let mut parts: Vec<Part> = parts.filter(|part| !part.is_empty()).collect();
+        let all: f64 = parts.iter().flatten().map(|shard| shard.weight).sum();
+        for shard in parts.iter_mut().flatten() {
+            shard.weight /= all;
         }
         parts
     };
@@ -310,4 +324,56 @@ pub(super) fn graph_noise(
     let mut noise = vec![0.0; (s.steps + 1) * s.envs * s.agents * width as usize];
     rng::fill_logistic(&mut seed.rng(), &mut noise);
     (Tensor::from_slice(&noise).view([-1, s.agents as i64, width]) * scale).to_device(device)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::rollout::Sizes;
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(32))]
+
+        /// The minibatches of an epoch have every active sample once, in parts that networks take in
+        /// passes of bounded size, and each has a whole weight.
+        #[test]
+        fn minibatches_hold_every_active_sample_once(
+            steps in 1usize..80,
+            envs in 1usize..30,
+            agents in 1usize..20,
+            length in 1usize..11,
+            size in 1usize..60_000,
+            parts in 1usize..5,
+            seed in any::<u64>(),
+        ) {
+            let mut rollout = Rollout::new(Sizes {
+                steps, envs, agents,
+                observation: 0, state: 0, actions: 0, choices: 0, memory: 0, graph_noise: 0,
+            });
+            rng::fill_normal(&mut Seed::new(seed).rng(), &mut rollout.active);
+            rollout.active.iter_mut().for_each(|x| *x = f32::from(*x > -1.0));
+            let all = minibatches(&rollout, length, size, parts, Device::Cpu, Seed::new(seed));
+            let mut found = Vec::new();
+            for minibatch in &all {
+                prop_assert!((1..=parts).contains(&minibatch.len()));
+                let weight: f64 = minibatch.iter().flatten().map(|shard| shard.weight).sum();
+                prop_assert!((weight - 1.0).abs() < 1e-9, "{}", weight);
+                for shard in minibatch.iter().flatten() {
+                    let rows = Vec::<i64>::try_from(&shard.rows).expect("indices");
+                    let samples = Vec::<i64>::try_from(&shard.samples).expect("indices");
+                    let agents = agents as i64;
+                    prop_assert!(rows.len() * agents as usize <= MOST_SAMPLES.max(length * agents as usize));
+                    let place = |i: i64| (rows[(i / agents) as usize] * agents + i % agents) as usize;
+                    found.extend(samples.into_iter().map(place));
+                }
+            }
+            found.sort_unstable();
+            // A shorter chunk at the end of a world is left out.
+            let learned = steps / length * length * envs * agents;
+            let active: Vec<usize> = (0..learned).filter(|&i| rollout.active[i] > 0.0).collect();
+            prop_assert_eq!(found, active);
+        }
+    }
 }

@@ -256,17 +256,23 @@ mod tests {
         (rollout, PolicyHead::Gaussian(head), means.shallow_clone())
     }
 
-    /// Returns the terms of a whole rollout, whose advantage is the last action.
-    fn terms(rollout: &Rollout, head: &PolicyHead, ppo: &Ppo) -> PolicyTerms {
+    /// Returns the whole loss and the policy's part of it for a whole rollout, whose advantage is the
+    /// last action.
+    fn losses(rollout: &Rollout, head: &PolicyHead, ppo: &Ppo) -> [Tensor; 2] {
         let mut batch = Batch::new(rollout, Device::Cpu);
         let last = batch.action.narrow(0, ((STEPS - 1) * ENVS) as i64, ENVS as i64);
         batch.advantage = last.squeeze_dim(-1).repeat([STEPS as i64, 1]);
         let all = STEPS * ENVS;
-        let mut parts = minibatches(rollout, 1, all, 1, Device::Cpu, Seed::new(2));
-        assert!(parts.len() == 1 && parts[0].len() == 1);
-        let shard = parts.remove(0).remove(0);
-        let input = shard.active(&batch.observation);
-        PolicyTerms::new(&batch, &shard, head, &input, ppo, Ratio::Joint)
+        let minibatches = minibatches(rollout, 1, all, 1, Device::Cpu, Seed::new(2));
+        assert!(minibatches.len() == 1);
+        let mut sums = [Tensor::from(0.0_f32), Tensor::from(0.0_f32)];
+        for shard in minibatches.iter().flatten().flatten() {
+            let input = shard.active(&batch.observation);
+            let terms = PolicyTerms::new(&batch, shard, head, &input, ppo, Ratio::Joint);
+            let [all, policy] = &sums;
+            sums = [all + terms.loss * shard.weight, policy + terms.policy * shard.weight];
+        }
+        sums
     }
 
     /// An earlier mean is credited with a later action by the correlation to the power of the steps
@@ -275,7 +281,7 @@ mod tests {
     fn the_gradient_under_lasting_noise_is_that_of_deviations_that_last() {
         let (rollout, head, means) = played();
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 0.0, ..Ppo::default() };
-        let loss = terms(&rollout, &head, &ppo).loss;
+        let [loss, _] = losses(&rollout, &head, &ppo);
         let gradient = Tensor::run_backward(&[loss], &[&means], false, false);
         // The loss is a mean over all steps, and the last action's mean raises the return by 1.
         let found = Vec::<f32>::try_from((&gradient[0] * -(STEPS as f64)).view([-1]));
@@ -294,8 +300,8 @@ mod tests {
         let _ = no_grad(|| means.shallow_clone().fill_(2.0));
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 1.0, ..Ppo::default() };
         let penalty = |rollout: &Rollout| {
-            let terms = terms(rollout, &head, &ppo);
-            (&terms.loss - &terms.policy).double_value(&[])
+            let [loss, policy] = losses(rollout, &head, &ppo);
+            (loss - policy).double_value(&[])
         };
         let lasting = penalty(&rollout);
         rollout.carried.clear();

@@ -136,6 +136,37 @@ fn shards_share_one_set_of_weights() {
     });
 }
 
+/// A minibatch that is too large for one pass of the networks has the gradient of its parts.
+#[test]
+fn large_minibatches_are_taken_in_parts() {
+    for (name, encoder) in [
+        ("mappo", EncoderKind::Mlp),
+        ("im-iwol", EncoderKind::Gru),
+        ("ex-iwol", EncoderKind::Mlp),
+        ("magic", EncoderKind::Mlp),
+    ] {
+        let run = |shards: usize| {
+            let mut settings = small(encoder);
+            settings.ppo.shards = shards;
+            settings.ppo.minibatch = 1_000_000;
+            settings.iwol.decoded = 1.0;
+            let mut learner = loud(name, &spec(20), &settings);
+            let rollout = rollout_of(&*learner, 60, 20, 3, false);
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            (learner.state(), losses)
+        };
+        // 19,200 samples in three passes of one copy of the networks, and in one pass of each of three.
+        let ((one, losses), (three, others)) = (run(1), run(3));
+        for ((name_1, a), (_, b)) in one.iter().zip(&three).filter(|(a, _)| !a.0.contains("adam")) {
+            let distance = (a - b).abs().max().double_value(&[]);
+            assert!(distance < 2e-4, "{name} {encoder:?}: {name_1} {distance}");
+        }
+        for ((what, a), (_, b)) in losses.iter().zip(&others) {
+            assert!((a - b).abs() < 1e-3 * (1.0 + a.abs()), "{name} {encoder:?}: {what} {a} {b}");
+        }
+    }
+}
+
 /// Two shards choose the same actions as one, but for rounding, also where messages are under way.
 #[test]
 fn shards_decide_as_one_does() {

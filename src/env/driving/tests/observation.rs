@@ -263,10 +263,9 @@ fn speeds_backwards_are_negative() {
     let active: Vec<usize> = (0..5).filter(|&i| frame.active[i] > 0.0).collect();
     assert!(!active.is_empty(), "some drive");
     let (mut own, mut others) = (0, [0; 2]);
-    for (part, features, values) in [
-        (0, &task.spec.observation, &frame.observation),
-        (1, &task.spec.state, &frame.state),
-    ] {
+    for (part, features, values) in
+        [(0, &task.spec.observation, &frame.observation), (1, &task.spec.state, &frame.state)]
+    {
         let width = features.len();
         for &i in &active {
             let row = &values[i * width..(i + 1) * width];
