@@ -135,7 +135,7 @@ metrics! {
         /// Metrics of vehicles; `None` in environments without them.
         #[serde(flatten, skip_serializing_if = "Option::is_none", deserialize_with = "of_vehicles")]
         pub driving: Option<DrivingMetrics>,
-        /// Number of episodes in which an agent arrived, failed or was late, if there are others.
+        /// Number of episodes in which an agent arrived, failed or was unfinished, if there are others.
         /// Shares of agents are over these episodes.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub counted: Option<u64>,

@@ -1,6 +1,6 @@
 //! Worlds in lock-step, whose results are written into NumPy's arrays.
 
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, TryLockError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, TryLockError};
 use std::time::Duration;
 
 use iwol_sumo::env::{Driver, EpisodeRecord, Task, VecEnv, VecOptions, World};
@@ -21,14 +21,20 @@ use crate::task::NativeTask;
 /// exist in processes forked from it.
 static FIRST_USER: OnceLock<u32> = OnceLock::new();
 
+/// Returns whether another process, of which this one is a fork, first used an environment.
+fn is_forked() -> bool {
+    FIRST_USER.get().is_some_and(|first| *first != std::process::id())
+}
+
 /// Refuses to work in a process that was forked after the first use of an environment.
 pub(crate) fn refuse_after_fork(py: Python<'_>) -> PyResult<()> {
-    let own = std::process::id();
-    if *FIRST_USER.get_or_init(|| own) == own {
+    FIRST_USER.get_or_init(std::process::id);
+    if !is_forked() {
         return Ok(());
     }
-    let text = "environments do not work in a process that was forked after one was used: start \
-                processes with multiprocessing.get_context(\"spawn\")";
+    let text = "environments do not work in a process that was forked after one was made or used: \
+                start processes with multiprocessing.get_context(\"spawn\"), or call \
+                multiprocessing.set_start_method(\"spawn\") first";
     Err(exception(py, "Error", text.into()))
 }
 
@@ -106,12 +112,9 @@ impl NativeEnv {
         timeout: f64,
         audit: bool,
     ) -> PyResult<Self> {
-        if worlds == 0 {
-            return Err(exception(py, "Error", "num_envs is 0; allowed: at least 1".into()));
-        }
         let Some(timeout) = Duration::try_from_secs_f64(timeout).ok().filter(|t| !t.is_zero())
         else {
-            let text = format!("timeout is {timeout}; allowed: seconds above 0");
+            let text = format!("timeout is {timeout}; allowed: seconds above 0, up to 1e19");
             return Err(exception(py, "Error", text));
         };
         let hosting = Hosting { processes, timeout, audit, ..Hosting::default() };
@@ -131,43 +134,44 @@ impl NativeEnv {
         refuse_after_fork(py)?;
         let mut running = self.lock(py)?;
         let (running_now, task, worlds) = (&mut *running, &self.task, self.worlds);
-        let started = py.detach(|| match running_now {
-            Some(running) => {
+        let started = py.detach(|| {
+            if let Some(running) = running_now {
                 running.env.restart(stream(seed), episode..u64::MAX);
                 running.actions.fill(0.0);
-                running.env.step(&running.actions)
+                let stepped = running.env.step(&running.actions);
+                // Where SUMO broke off, no episode has begun, and the old frame is still there.
+                let states = running.env.states();
+                if stepped.is_ok() && !states.iter().any(|state| state.interrupted) {
+                    return Ok(());
+                }
+                *running_now = None;
             }
-            None => {
-                let options = VecOptions {
-                    worlds,
-                    stride: worlds as u64,
-                    driver: Driver::Agents,
-                    seed: stream(seed),
-                    episodes: episode..u64::MAX,
-                    repeat_failed: 0.0,
-                    hosting: self.hosting,
-                };
-                let actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
-                VecEnv::new(task, &options).map(|env| {
-                    let finished = Vec::new();
-                    *running_now = Some(Running { env, actions, finished, recorder: None, seed });
-                })
-            }
+            let options = VecOptions {
+                worlds,
+                stride: worlds as u64,
+                driver: Driver::Agents,
+                seed: stream(seed),
+                episodes: episode..u64::MAX,
+                repeat_failed: 0.0,
+                hosting: self.hosting,
+            };
+            let actions = vec![0.0; worlds * task.agents * task.spec.actions.len()];
+            VecEnv::new(task, &options).map(|env| {
+                let finished = Vec::new();
+                *running_now = Some(Running { env, actions, finished, recorder: None, seed });
+            })
         });
-        if let Err(error) = started {
-            *running_now = None;
-            return Err(of_env(py, &error));
-        }
+        started.map_err(|error| of_env(py, &error))?;
         let Some(running) = running_now else { return Ok(()) };
         running.env.take_finished();
         running.finished.clear();
         running.seed = seed;
         running.recorder = record.then(|| Recorder::new(&task.spec, episode));
-        self.fill(py, &running.env, &arrays)
+        self.fill(py, Some(&running.env), &arrays)
     }
 
     /// Performs one decision of all worlds with the actions `[E, N, A]`, and writes the next frames.
-    /// Returns whether episodes have ended with it.
+    /// Returns whether episodes have ended with it. After an error of SUMO, only a reset helps.
     fn step(
         &self,
         py: Python<'_>,
@@ -175,11 +179,12 @@ impl NativeEnv {
         arrays: Arrays<'_>,
     ) -> PyResult<bool> {
         refuse_after_fork(py)?;
-        let mut running = self.lock(py)?;
-        let Some(running) = running.as_mut() else {
-            let text = "step() before reset(), or after close(): call reset() first";
+        let mut running_now = self.lock(py)?;
+        let Some(running) = running_now.as_mut() else {
+            let text = "step() before reset(), or after close() or a SumoError: call reset() first";
             return Err(exception(py, "Error", text.into()));
         };
+        self.fill(py, None, &arrays)?;
         self.take_actions(py, actions, running)?;
         let Running { env, actions, finished, recorder, .. } = running;
         if let Some(recorder) = &mut *recorder
@@ -190,12 +195,15 @@ impl NativeEnv {
             recorder.decide(env, e, actions, &RecordedDiagnostics::default());
         }
         let taken = py.detach(|| env.step(actions));
-        taken.map_err(|error| of_env(py, &error))?;
+        if let Err(error) = taken {
+            *running_now = None;
+            return Err(of_env(py, &error));
+        }
         if let Some(recorder) = &mut *recorder {
             recorder.reward(env);
         }
-        self.fill(py, env, &arrays)?;
         *finished = env.take_finished();
+        self.fill(py, Some(env), &arrays)?;
         Ok(!finished.is_empty())
     }
 
@@ -226,7 +234,7 @@ impl NativeEnv {
         for actions in actions.chunks_exact(width) {
             let taken = py.detach(|| running.env.step(actions));
             taken.map_err(|error| of_env(py, &error))?;
-            self.fill(py, &running.env, &arrays)?;
+            self.fill(py, Some(&running.env), &arrays)?;
             running.env.take_finished();
         }
         Ok(())
@@ -267,12 +275,22 @@ impl NativeEnv {
     /// Ends SUMO. Nothing happens if it does not run.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         // In a forked process SUMO belongs to the parent.
-        if FIRST_USER.get().is_some_and(|first| *first != std::process::id()) {
+        if is_forked() {
             return Ok(());
         }
         let running = self.lock(py)?.take();
         py.detach(|| drop(running));
         Ok(())
+    }
+}
+
+impl Drop for NativeEnv {
+    fn drop(&mut self) {
+        // In a forked process SUMO belongs to the parent.
+        if is_forked() {
+            let running = self.running.get_mut().unwrap_or_else(PoisonError::into_inner);
+            std::mem::forget(running.take());
+        }
     }
 }
 
@@ -302,10 +320,10 @@ impl NativeEnv {
             let text = format!("actions have the shape {:?} instead of {wanted:?}", given.shape());
             return Err(exception(py, "Error", text));
         }
+        let given = given.as_array();
         match given.as_slice() {
-            Ok(given) => running.actions.copy_from_slice(given),
-            Err(_) => {
-                let given = given.as_array();
+            Some(given) => running.actions.copy_from_slice(given),
+            None => {
                 running.actions.iter_mut().zip(given.iter()).for_each(|(to, from)| *to = *from);
             }
         }
@@ -323,15 +341,17 @@ impl NativeEnv {
         Ok(())
     }
 
-    /// Writes the worlds' frames to the arrays.
-    fn fill(&self, py: Python<'_>, env: &VecEnv, arrays: &Arrays<'_>) -> PyResult<()> {
+    /// Writes the worlds' frames to the arrays. Without worlds, only makes sure that the arrays can
+    /// be written.
+    fn fill(&self, py: Python<'_>, env: Option<&VecEnv>, arrays: &Arrays<'_>) -> PyResult<()> {
         let (n, spec) = (self.task.agents, &self.task.spec);
         let (o, s) = (spec.observation.len(), spec.state.len());
-        let worlds = || env.worlds().map(World::frame);
+        let worlds = || env.into_iter().flat_map(VecEnv::worlds);
+        let frames = || worlds().map(World::frame);
         let copy = |name: &str, array: &Bound<'_, PyArrayDyn<f32>>, width: usize, of: Numbers| {
             write(py, name, array, self.worlds * n * width, |out| {
                 let rows = out.chunks_exact_mut((n * width).max(1));
-                rows.zip(worlds()).for_each(|(out, frame)| out.copy_from_slice(of(frame)));
+                rows.zip(frames()).for_each(|(out, frame)| out.copy_from_slice(of(frame)));
             })
         };
         copy("observation", &arrays.observation, o, |frame| &frame.observation)?;
@@ -340,7 +360,7 @@ impl NativeEnv {
         copy("reward", &arrays.reward, 1, |frame| &frame.reward)?;
         let flags = |name: &str, array: &Bound<'_, PyArrayDyn<bool>>, of: Numbers| {
             write(py, name, array, self.worlds * n, |out| {
-                let values = worlds().flat_map(of);
+                let values = frames().flat_map(of);
                 out.iter_mut().zip(values).for_each(|(out, value)| *out = *value > 0.5);
             })
         };
@@ -349,10 +369,10 @@ impl NativeEnv {
         flags("truncated", &arrays.truncated, |frame| &frame.truncated)?;
         flags("start", &arrays.start, |frame| &frame.start)?;
         write(py, "interrupted", &arrays.interrupted, self.worlds, |out| {
-            out.iter_mut().zip(worlds()).for_each(|(out, frame)| *out = frame.interrupted);
+            out.iter_mut().zip(frames()).for_each(|(out, frame)| *out = frame.interrupted);
         })?;
         write(py, "outcome", &arrays.outcome, self.worlds * n * 3, |out| {
-            let agents = env.worlds().flat_map(World::agents);
+            let agents = worlds().flat_map(World::agents);
             for (out, agent) in out.chunks_exact_mut(3).zip(agents) {
                 let outcome = agent.outcome;
                 out.copy_from_slice(&[outcome.arrived, outcome.crashed, outcome.out_of_road]);
@@ -386,8 +406,9 @@ fn write<T: Element>(
     let mut array = array.try_readwrite().map_err(|error| {
         exception(py, "Error", format!("the array `{name}` cannot be written: {error}"))
     })?;
+    let ordered = array.is_c_contiguous();
     match array.as_slice_mut() {
-        Ok(out) if out.len() == len => {
+        Ok(out) if ordered && out.len() == len => {
             fill(out);
             Ok(())
         }

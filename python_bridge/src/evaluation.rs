@@ -11,7 +11,9 @@ use iwol_sumo::provenance::Program;
 use iwol_sumo::replay::RecordedDiagnostics;
 use iwol_sumo::rng::Seed;
 use iwol_sumo::sumo::Hosting;
-use numpy::{PyArray, PyArrayMethods as _, PyReadonlyArrayDyn, PyUntypedArrayMethods as _};
+use numpy::{
+    AllowTypeChange, PyArray, PyArrayLikeDyn, PyArrayMethods as _, PyUntypedArrayMethods as _,
+};
 use pyo3::prelude::*;
 use pyo3::types::PyString;
 
@@ -22,7 +24,8 @@ use crate::task::NativeTask;
 /// Plays `episodes` episodes of the stream `seed` and returns the result as the JSON that
 /// `iwol evaluate --json` prints, and the records of the episodes as a JSON list. `policy` is the
 /// name of a driver without training, or a callable that gets `observation [E, N, O]`,
-/// `comm [E, N, N]`, `active [E, N]` and `start [E, N]`, and returns actions `[E, N, A]`.
+/// `comm [E, N, N]`, `active [E, N]` and `start [E, N]`, and returns actions `[E, N, A]`, as an
+/// array of any type of numbers or as lists.
 #[pyfunction]
 pub(crate) fn evaluate(
     py: Python<'_>,
@@ -33,9 +36,6 @@ pub(crate) fn evaluate(
     seed: u64,
 ) -> PyResult<(String, String)> {
     refuse_after_fork(py)?;
-    if episodes == 0 {
-        return Err(exception(py, "Error", "episodes is 0; allowed: at least 1".into()));
-    }
     let stop = AtomicBool::new(false);
     let raised = Mutex::new(None);
     let callable = Callable { function: policy.clone().unbind(), stop: &stop, raised: &raised };
@@ -159,20 +159,34 @@ impl CallableActor<'_> {
             spec.observation.len(),
         ])?;
         let comm = PyArray::from_vec(py, numbers(|frame| &frame.comm)).reshape([e, n, n])?;
-        let active = PyArray::from_vec(py, flags(|frame| &frame.active)).reshape([e, n])?;
+        let acts = flags(|frame| &frame.active);
+        let active = PyArray::from_slice(py, &acts).reshape([e, n])?;
         let start = PyArray::from_vec(py, flags(|frame| &frame.start)).reshape([e, n])?;
         let chosen = self.callable.function.bind(py).call1((observation, comm, active, start))?;
         let wanted = [e, n, spec.actions.len()];
-        let chosen: PyReadonlyArrayDyn<'_, f32> = chosen.extract().map_err(|_| {
-            let text = format!("the policy returned no float32 array with the shape {wanted:?}");
+        let kind = match chosen.getattr_opt("dtype")? {
+            Some(dtype) => dtype.str()?.to_string(),
+            None => chosen.get_type().name()?.to_string(),
+        };
+        let chosen: PyArrayLikeDyn<'_, f32, AllowTypeChange> = chosen.extract().map_err(|_| {
+            let text = format!("the policy returned {kind} instead of numbers {wanted:?}");
             exception(py, "Error", text)
         })?;
         if chosen.shape() != wanted {
+            let found = chosen.shape();
             let text =
-                format!("the policy returned the shape {:?} instead of {wanted:?}", chosen.shape());
+                format!("the policy returned {kind} of shape {found:?} instead of {wanted:?}");
             return Err(exception(py, "Error", text));
         }
-        for (to, from) in actions.iter_mut().zip(chosen.as_array().iter()) {
+        let chosen = chosen.as_array();
+        for (row, (action, acts)) in chosen.rows().into_iter().zip(acts).enumerate() {
+            if acts && action.iter().any(|value| value.is_nan()) {
+                let (e, i) = (row / n, row % n);
+                let text = format!("the policy returned NaN for vehicle_{i} in world {e}");
+                return Err(exception(py, "Error", text));
+            }
+        }
+        for (to, from) in actions.iter_mut().zip(chosen.iter()) {
             *to = *from;
         }
         Ok(())

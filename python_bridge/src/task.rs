@@ -23,13 +23,13 @@ pub(crate) struct NativeTask {
 #[pymethods]
 impl NativeTask {
     /// Reads a scenario file; `overrides` are pairs of a path, such as `termination.horizon`, and a
-    /// value as in the file.
+    /// value as in the file, or `None`, which leaves it as it is.
     #[new]
     fn new(
         py: Python<'_>,
         path: PathBuf,
         agents: Option<u32>,
-        overrides: Vec<(String, String)>,
+        overrides: Vec<(String, Option<String>)>,
     ) -> PyResult<Self> {
         refuse_after_fork(py)?;
         let file = ScenarioFile::read(&path).map_err(|error| of_scenario(py, &error))?;
@@ -45,6 +45,7 @@ impl NativeTask {
                 let text = format!("the scenario has no setting `{name}`{near}");
                 return Err(exception(py, "ScenarioError", text));
             };
+            let Some(value) = value else { continue };
             if let Some(refusal) = attribute.refusal(value) {
                 return Err(exception(py, "ScenarioError", format!("{name}: {refusal}")));
             }

@@ -57,6 +57,57 @@ def test_errors_of_a_policy_end_the_evaluation():
         iwol_sumo.evaluate(lambda *_: np.zeros(1, np.float32), "intersection", 8, episodes=2)
     with pytest.raises(iwol_sumo.Error, match="there is no policy `throtle:1`"):
         iwol_sumo.evaluate("throtle:1", "intersection", 8)
+    for number in ({"episodes": 0}, {"episodes": 1.0}, {"seed": -1}):
+        [name] = number
+        with pytest.raises(iwol_sumo.Error, match=f"^{name} is .*; allowed: whole numbers from"):
+            iwol_sumo.evaluate("throttle:1", "intersection", 8, **number)
+
+
+def test_actions_of_a_policy_are_converted_and_checked():
+    def records(policy):
+        return iwol_sumo.evaluate(policy, "intersection", 8, episodes=2)["records"]
+
+    wanted = records("throttle:1")
+    assert records(lambda o, c, active, s: np.ones((*active.shape, 1))) == wanted
+    assert records(lambda o, c, active, s: np.ones((*active.shape, 1)).tolist()) == wanted
+    # Nobody acts in the other rows.
+    assert records(lambda o, c, active, s: np.where(active, 1, np.nan)[..., None]) == wanted
+
+    def lost(observation, comm, active, start):
+        actions = np.ones((*active.shape, 1), np.float32)
+        actions[1, 3] = np.nan
+        return actions
+
+    for policy, message in [
+        (lost, "the policy returned NaN for vehicle_3 in world 1"),
+        (lambda *_: np.ones(3), r"returned float64 of shape \[3\] instead of \[2, 8, 1\]"),
+        (lambda *_: [1.0], r"returned list of shape \[1\] instead of"),
+        (lambda *_: "full", "returned str instead of numbers"),
+    ]:
+        with pytest.raises(iwol_sumo.Error, match=message):
+            records(policy)
+
+
+def test_a_policy_for_another_task_is_refused():
+    def policy(observation, comm, active, start):
+        return np.ones((*active.shape, 1), np.float32)
+
+    features = iwol_sumo.parallel_env("intersection", 8).features
+    rows = [{"name": feature.name, "unit": feature.unit} for feature in features]
+    same = {"observation": rows, "actions": [{"name": "throttle"}], "interval": 0.1}
+    policy.description = same
+    assert iwol_sumo.evaluate(policy, "intersection", 8, episodes=1)["episodes"] == 1
+    speed, *rest = rows
+    for change, message in [
+        ({"observation": rest}, f"has {len(rest)} numbers of observation; .* {len(rows)}"),
+        ({"observation": [{**speed, "name": "x"}, *rest]}, "number 0 of observation is 'x'; .*ego"),
+        ({"observation": [{**speed, "unit": "9 m/s"}, *rest]}, "ego.speed', is in units of 9 m/s;"),
+        ({"actions": [{"name": "brake"}]}, "number 0 of actions is 'brake'; .* 'throttle'"),
+        ({"interval": 0.2}, "decides every 0.2 s; .* it is 0.1 s"),
+    ]:
+        policy.description = {**same, **change}
+        with pytest.raises(iwol_sumo.Error, match=message):
+            iwol_sumo.evaluate(policy, "intersection", 8, episodes=1)
 
 
 def test_ctrl_c_ends_a_run_without_leaving_sumo():
@@ -119,6 +170,40 @@ def test_forked_processes_are_refused_and_spawned_ones_work():
     """
     out = run(code)
     assert out.stdout.splitlines()[0] == "8" and "spawn" in out.stdout, out
+    assert "after one was made or used" in out.stdout, out
+
+
+def test_a_forked_process_leaves_sumo_to_its_parent():
+    code = """
+        import gc, os, numpy as np, iwol_sumo
+        env = iwol_sumo.vec_env("intersection", 1, 8)
+        env.reset(seed=0)
+        child = os.fork()
+        if child == 0:
+            del env
+            gc.collect()
+            os._exit(0)
+        os.waitpid(child, 0)
+        print(env.step(np.ones((1, 8, 1), np.float32)).interrupted)
+    """
+    assert run(code).stdout == "[False]\n"
+
+
+def test_all_environments_are_closed_at_the_end():
+    code = """
+        import iwol_sumo
+
+        def close(env):
+            print("closed")
+            raise iwol_sumo.Error("in use")
+
+        iwol_sumo.VecEnv.close = close
+        envs = [iwol_sumo.vec_env("intersection", 1, 8) for _ in range(2)]
+        silence = iwol_sumo._native.silence
+        iwol_sumo._native.silence = lambda: print("silent", silence())
+    """
+    out = run(code)
+    assert out.stdout == "closed\nclosed\nsilent None\n" and not out.stderr, out
 
 
 def test_a_missing_sumo_is_named(tmp_path):

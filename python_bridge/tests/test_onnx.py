@@ -112,6 +112,22 @@ def test_a_model_of_choices_decides_as_pytorch(tmp_path):
     assert difference.shape[-1] == len(model.description["actions"]) and difference.max() < 1e-4
 
 
+def test_errors_of_a_model_are_errors_of_the_package(exported, tmp_path):
+    (tmp_path / "bad.onnx").write_text("nonsense")
+    for name in ("none.onnx", "bad.onnx"):
+        with pytest.raises(iwol_sumo.Error, match=f"cannot load the policy .*{name}"):
+            OnnxPolicy(tmp_path / name)
+    folder, file = exported
+    policy = OnnxPolicy(file)
+    with pytest.raises(iwol_sumo.Error, match="(?s)cannot be computed: .*Got: 3 Expected: 67"):
+        policy(np.zeros((1, 8, 3), np.float32), np.ones((1, 8, 8), np.float32))
+    if folder.name == "ex-iwol-8":
+        with pytest.raises(iwol_sumo.Error, match="the policy also needs comm"):
+            policy(np.zeros((1, 8, 67), np.float32))
+    with pytest.raises(iwol_sumo.Error, match="has 67 numbers of observation"):
+        iwol_sumo.evaluate(policy, "parking_lot", episodes=1)
+
+
 def test_what_has_no_model_is_refused(tmp_path):
     file = tmp_path / "policy.onnx"
     assert iwol("export", ROOT / "policies/mappo-8", "--onnx", file).returncode == 0

@@ -179,7 +179,86 @@ def test_a_step_is_drawn_as_pixels():
 def test_the_aec_form_plays(intersection):
     env = iwol_sumo.env("intersection", agents=8)
     env.reset(seed=0)
+    assert env.last()[4]["slot"] == 0
     for agent in env.agent_iter(100):
         _, _, terminated, truncated, _ = env.last()
         env.step(None if terminated or truncated else np.ones(1, np.float32))
     env.close()
+
+
+@pytest.mark.parametrize("scenario", ["flow_cross", "blind_crossing"])
+def test_agents_that_are_still_to_come_have_no_infos(scenario):
+    with iwol_sumo.parallel_env(scenario) as env:
+        observations, infos = env.reset(seed=0)
+        assert list(infos) == env.agents and len(env.agents) < len(env.possible_agents)
+        assert list(observations) == env.possible_agents
+        absent = [agent for agent in env.possible_agents if agent not in env.agents]
+        # TorchRL looks infos of all possible agents up, in a copy.
+        for found in (infos, copy.deepcopy(infos)):
+            assert found[absent[0]].keys() == found[env.agents[0]].keys()
+        assert list(infos) == env.agents
+        observations[absent[0]] += 1
+        assert not any(observations[agent].any() for agent in absent[1:])
+    env = iwol_sumo.env(scenario)
+    env.reset(seed=0)
+    assert env.last()[4]["comm"].any()
+    env.close()
+
+
+def test_states_and_masks_are_indexed_by_slot():
+    with iwol_sumo.parallel_env("blind_crossing") as env:
+        for seed in range(3):
+            _, infos = env.reset(seed=seed)
+            rows = {infos[agent]["slot"]: infos[agent]["comm"] for agent in env.agents}
+            present = np.flatnonzero(env.state().any(1))
+            assert list(rows) == present.tolist()
+            assert all(comm[slot] == 1 for slot, comm in rows.items())
+
+
+def test_rejected_numbers_change_nothing(intersection):
+    for number in (-1, 2**64, 1.5, "3"):
+        with pytest.raises(iwol_sumo.Error, match="^seed is .*; allowed: whole numbers from 0 to"):
+            iwol_sumo.parallel_env("intersection", seed=number)
+        with pytest.raises(iwol_sumo.Error, match="^seed is"):
+            intersection.reset(seed=number)
+        with pytest.raises(iwol_sumo.Error, match="^episode is"):
+            intersection.reset(options={"episode": number})
+    with pytest.raises(iwol_sumo.Error, match="call reset"):
+        intersection.step({})
+    wanted = intersection.reset(seed=0)
+    with pytest.raises(iwol_sumo.Error, match="^seed is"):
+        intersection.reset(seed=-1)
+    assert same(intersection.reset(options={"episode": 0}), wanted)
+
+
+def test_a_reset_after_the_death_of_sumo_starts_another(intersection, kill_sumo):
+    wanted = intersection.reset(seed=7)
+    intersection.reset(seed=0)
+    for _ in range(20):
+        intersection.step(full_throttle(intersection))
+    kill_sumo()
+    assert same(intersection.reset(seed=7), wanted)
+    intersection.step(full_throttle(intersection))
+
+
+def test_a_folder_does_not_hide_a_scenario(tmp_path, monkeypatch):
+    (tmp_path / "intersection").mkdir()
+    monkeypatch.chdir(tmp_path)
+    assert iwol_sumo.scenario_file("intersection").name == "intersection.xml"
+
+
+def test_settings_may_be_none_or_of_numpy():
+    settings = iwol_sumo.settings("intersection")
+    nothing = {name: value for name, (value, _) in settings.items() if value is None}
+    given = iwol_sumo.parallel_env("intersection", overrides={**nothing, "control.drag": None})
+    assert nothing and given.features == iwol_sumo.parallel_env("intersection").features
+    for heading in (True, False):
+        overrides = [{"observation.heading": kind(heading)} for kind in (bool, np.bool_)]
+        envs = [iwol_sumo.parallel_env("intersection", overrides=each) for each in overrides]
+        assert envs[0].features == envs[1].features
+    with pytest.raises(iwol_sumo.ScenarioError, match="did you mean `termination.horizon`"):
+        iwol_sumo.parallel_env("intersection", overrides={"termination.horizn": None})
+
+
+def test_notebooks_show_the_name_of_what_is_not_recorded(intersection):
+    assert "&lt;" in intersection._repr_html_() and "<iwol" not in intersection._repr_html_()

@@ -81,6 +81,10 @@ def test_an_exported_folder_runs_without_the_package(name, tmp_path):
     description = json.loads((folder / "policy.json").read_text())
     with iwol_sumo.parallel_env("intersection", 8) as env:
         assert [row["name"] for row in description["observation"]] == [f.name for f in env.features]
+    assert load_policy(folder).description == description
+    assert load_policy(POLICIES / name).description == {}
+    with pytest.raises(iwol_sumo.Error, match="has 67 numbers of observation"):
+        iwol_sumo.evaluate(load_policy(folder), "parking_lot", episodes=1)
     again = subprocess.run(command, capture_output=True, text=True)
     assert again.returncode == 2 and "already exists" in again.stderr
 

@@ -1,5 +1,10 @@
 """Many worlds as NumPy arrays."""
 
+import os
+import signal
+import threading
+import time
+
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
@@ -96,7 +101,11 @@ def test_wrong_actions_are_refused():
         with pytest.raises(iwol_sumo.Error, match="vehicle_3 in environment 1 is NaN"):
             env.step(actions)
         # Float64 and other orders in memory are converted.
-        env.step(np.asfortranarray(np.zeros((2, 8, 1))))
+        actions = np.random.default_rng(0).uniform(-1, 1, (2, 8, 1)).astype(np.float32)
+        wanted = env.step(actions)
+        for other in (actions.astype(np.float64), np.asfortranarray(actions)):
+            env.reset()
+            assert all(map(np.array_equal, env.step(other), wanted))
 
 
 def test_flat_slots_are_a_gymnasium_vector_environment():
@@ -115,3 +124,99 @@ def test_features_are_named():
         assert env.features[0].name == "ego.speed" and env.features[0].unit
         assert env.actions == ["throttle"]
         assert "observation.neighbours" in iwol_sumo.settings("intersection")
+
+
+@pytest.mark.parametrize("steps", [0, 3])
+def test_a_reset_after_the_death_of_sumo_starts_another(kill_sumo, steps):
+    throttle = np.ones((2, 8, 1), np.float32)
+    with iwol_sumo.vec_env("intersection", 2, 8) as env:
+        wanted = [env.reset(seed=7), env.step(throttle)]
+        env.reset(seed=0)
+        for _ in range(steps):
+            env.step(throttle)
+        kill_sumo()
+        found = [env.reset(seed=7), env.step(throttle)]
+        for one, other in zip(wanted, found):
+            assert all(map(np.array_equal, one, other))
+
+
+def test_a_reset_after_an_error_of_sumo_starts_another(kill_sumo):
+    throttle = np.ones((2, 8, 1), np.float32)
+    with iwol_sumo.vec_env("intersection", 2, 8, processes=1) as env:
+        wanted = env.reset(seed=7)
+        kill_sumo()
+        assert env.step(throttle).interrupted.all()
+        kill_sumo()
+        with pytest.raises(iwol_sumo.SumoError):
+            env.step(throttle)
+        with pytest.raises(iwol_sumo.Error, match="call reset"):
+            env.step(throttle)
+        assert all(map(np.array_equal, wanted, env.reset(seed=7)))
+
+
+def test_a_step_whose_arrays_cannot_be_written_is_not_taken():
+    throttle = np.ones((2, 8, 1), np.float32)
+    with iwol_sumo.vec_env("intersection", 2, 8) as env:
+        env.reset(seed=0)
+        wanted = env.step(throttle)
+        env.reset(seed=0)
+        out = iwol_sumo.Frame(*map(np.zeros_like, wanted))
+        fixed = np.zeros_like(out.reward)
+        fixed.flags.writeable = False
+        for bad in (
+            out._replace(reward=fixed),
+            out._replace(outcome=np.zeros((2, 8, 2), np.bool_)),
+            out._replace(comm=np.asfortranarray(out.comm)),
+        ):
+            with pytest.raises(iwol_sumo.Error, match="the array `"):
+                env.step(throttle, out=bad)
+            assert not any(array.any() for array in bad)
+        assert all(map(np.array_equal, env.step(throttle, out=out), wanted))
+
+
+def test_a_close_that_another_thread_prevents_can_be_repeated(sumos):
+    env = iwol_sumo.vec_env("intersection", 1, 8)
+    env.reset(seed=0)
+    [pid] = sumos()
+    # The step waits for SUMO.
+    os.kill(pid, signal.SIGSTOP)
+    thread = threading.Thread(target=env.step, args=(np.ones((1, 8, 1), np.float32),))
+    thread.start()
+    time.sleep(0.3)
+    with pytest.raises(iwol_sumo.Error, match="in use by another thread"):
+        env.close()
+    os.kill(pid, signal.SIGCONT)
+    thread.join()
+    env.close()
+    assert not sumos()
+
+
+def test_flat_slots_can_be_closed_again(sumos):
+    env = iwol_sumo.vec_env("intersection", 1, 8).flatten()
+    for _ in range(2):
+        env.reset(seed=0)
+        assert sumos()
+        env.close()
+        assert not sumos()
+
+
+def test_rejected_numbers_change_nothing():
+    for number in (
+        {"num_envs": 0},
+        {"num_envs": 2.0},
+        {"agents": -1},
+        {"seed": -1},
+        {"processes": -1},
+        {"timeout": np.inf},
+    ):
+        [name] = number
+        with pytest.raises(iwol_sumo.Error, match=f"^{name} is .*; allowed: "):
+            iwol_sumo.vec_env("intersection", **number)
+    with iwol_sumo.vec_env("intersection", 1, 8) as env:
+        wanted = env.reset(seed=3)
+        for number in (-1, 2**64, 1.5, "3"):
+            with pytest.raises(iwol_sumo.Error, match="^seed is"):
+                env.reset(seed=number)
+            with pytest.raises(iwol_sumo.Error, match="^episode is"):
+                env.reset(options={"episode": number})
+        assert all(map(np.array_equal, wanted, env.reset()))

@@ -8,9 +8,7 @@
 //! 2. relations: linked and not linked each have an embedding, from which every attention layer
 //!    makes a vector added to queries and one added to keys; scores are scaled twice
 //!    (`RelationMultiheadAttention`)
-//! 3. attention: agents that are not linked have weight 0; the other weights are multiplied by the
-//!    graph, through which the scores get the gradient of their row's softmax; agents always listen
-//!    to themselves
+//! 3. attention: agents that are not linked have weight 0; agents always listen to themselves
 //! 4. bi-level optimisation: every fifth pass over a rollout trains the scores alone, and the others
 //!    train everything else (`mat_trainer.py`); passes are counted over all rollouts
 //! 5. encoder blocks have a rectifier, decoder blocks are those of MAT; each dimension of the
@@ -26,6 +24,9 @@
 //!   chosen.
 //! - A pair is linked where its edge is above ½. Reference: edges are cut to integers, which is the
 //!   same after the warm-up, because (1 − s) + s is 1 for every 32-bit number s from 0 to 1.
+//! - Weights are proportional to the graph's entry times the exponential of the attention's score,
+//!   so that a closed link has a gradient as well. Reference: the weights after the softmax are
+//!   multiplied by the graph, so that only open links have one.
 //! - There is no dropout, because it changes the ratio. Reference: a rate of 0.1.
 //! - One action head serves all agents. Reference: one head for each agent.
 //! - Edges beyond the radio range do not exist, and an agent reads the previous agent's action only

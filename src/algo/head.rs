@@ -176,9 +176,14 @@ impl GaussianHead {
 }
 
 /// Returns the mean of an action given the noise of earlier steps: `carried` is the shift by that
-/// noise, in units of the scheduled standard deviation, or empty if there is none.
+/// noise, in units of the standard deviation, or empty if there is none. The earlier noise was
+/// drawn, so a learned standard deviation has no gradient through it.
 pub(super) fn shifted(mean: &Tensor, log_std: &Tensor, carried: &Tensor) -> Tensor {
-    if carried.numel() == 0 { mean.shallow_clone() } else { mean + log_std.exp() * carried }
+    if carried.numel() == 0 {
+        mean.shallow_clone()
+    } else {
+        mean + log_std.detach().exp() * carried
+    }
 }
 
 #[cfg(test)]

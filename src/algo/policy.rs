@@ -204,7 +204,7 @@ mod tests {
 
     use super::*;
     use crate::algo::batch::minibatches;
-    use crate::algo::settings::Exploration;
+    use crate::algo::settings::{Exploration, NoiseMode};
     use crate::env::ActionDimension;
     use crate::nn::Params;
     use crate::rng::{self, Seed};
@@ -215,11 +215,12 @@ mod tests {
     const KEPT: f32 = 0.95;
 
     /// Returns a rollout of one agent per world with noise that lasts, and a head whose mean is a
-    /// parameter of its own at each step, and those parameters: what it reads is the number of the
+    /// parameter of its own at each step, and its parameters: what it reads is the number of the
     /// step, one-hot.
-    fn played() -> (Rollout, PolicyHead, Tensor) {
+    fn played(mode: NoiseMode) -> (Rollout, PolicyHead, Params) {
         let (mut params, mut weights) = (Params::new(Device::Cpu), Seed::new(0).rng());
-        let (dimension, exploration) = (ActionDimension::named("x"), Exploration::default());
+        let exploration = Exploration { mode, log_std_start: 0.0, ..Exploration::default() };
+        let dimension = ActionDimension::named("x");
         let head =
             GaussianHead::new(params.root(&mut weights), STEPS as i64, &[dimension], &exploration);
         let mut rollout = Rollout::new(Sizes {
@@ -251,16 +252,21 @@ mod tests {
             let half_ln_tau = 0.5 * std::f32::consts::TAU.ln();
             rollout.log_prob[row] = -0.5 * drawn * drawn - log_fresh - half_ln_tau;
         }
-        let (_, means) =
-            params.named().iter().find(|(name, _)| name.ends_with("mean.weight")).expect("is one");
-        (rollout, PolicyHead::Gaussian(head), means.shallow_clone())
+        (rollout, PolicyHead::Gaussian(head), params)
+    }
+
+    /// Returns the parameters whose name ends so.
+    fn named(params: &Params, end: &str) -> Tensor {
+        let named = params.named();
+        named.iter().find(|(name, _)| name.ends_with(end)).expect("is one").1.shallow_clone()
     }
 
     /// Returns the whole loss and the policy's part of it for a whole rollout, whose advantage is the
-    /// last action.
-    fn losses(rollout: &Rollout, head: &PolicyHead, ppo: &Ppo) -> [Tensor; 2] {
+    /// last action to the power of `power`.
+    fn losses(rollout: &Rollout, head: &PolicyHead, ppo: &Ppo, power: i64) -> [Tensor; 2] {
         let mut batch = Batch::new(rollout, Device::Cpu);
         let last = batch.action.narrow(0, ((STEPS - 1) * ENVS) as i64, ENVS as i64);
+        let last = last.pow_tensor_scalar(power);
         batch.advantage = last.squeeze_dim(-1).repeat([STEPS as i64, 1]);
         let all = STEPS * ENVS;
         let minibatches = minibatches(rollout, 1, all, 1, Device::Cpu, Seed::new(2));
@@ -279,9 +285,10 @@ mod tests {
     /// between them, since a deviation from it would last.
     #[test]
     fn the_gradient_under_lasting_noise_is_that_of_deviations_that_last() {
-        let (rollout, head, means) = played();
+        let (rollout, head, params) = played(NoiseMode::Schedule);
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 0.0, ..Ppo::default() };
-        let [loss, _] = losses(&rollout, &head, &ppo);
+        let [loss, _] = losses(&rollout, &head, &ppo, 1);
+        let means = named(&params, "mean.weight");
         let gradient = Tensor::run_backward(&[loss], &[&means], false, false);
         // The loss is a mean over all steps, and the last action's mean raises the return by 1.
         let found = Vec::<f32>::try_from((&gradient[0] * -(STEPS as f64)).view([-1]));
@@ -292,15 +299,29 @@ mod tests {
         }
     }
 
+    /// A standard deviation that is learned is credited with what is drawn with it, and not with the
+    /// earlier noise: the last action is normal with this deviation, so its square rises by 2 with
+    /// its logarithm.
+    #[test]
+    fn learned_noise_is_credited_with_its_own_draws() {
+        let (rollout, head, params) = played(NoiseMode::Learned);
+        let ppo = Ppo { entropy_coefficient: 0.0, bounds: 0.0, ..Ppo::default() };
+        let [loss, _] = losses(&rollout, &head, &ppo, 2);
+        let log_std = named(&params, "log_std");
+        let gradient = Tensor::run_backward(&[loss], &[&log_std], false, false);
+        let found = -(STEPS as f64) * gradient[0].double_value(&[0]);
+        assert!((found - 2.0).abs() < 0.3, "{found}");
+    }
+
     /// The penalty on means out of bounds has its unit from the whole noise, however much of it is
     /// that of the step before.
     #[test]
     fn noise_that_lasts_changes_no_penalty_on_means() {
-        let (mut rollout, head, means) = played();
-        let _ = no_grad(|| means.shallow_clone().fill_(2.0));
+        let (mut rollout, head, params) = played(NoiseMode::Schedule);
+        let _ = no_grad(|| named(&params, "mean.weight").fill_(2.0));
         let ppo = Ppo { entropy_coefficient: 0.0, bounds: 1.0, ..Ppo::default() };
         let penalty = |rollout: &Rollout| {
-            let [loss, policy] = losses(rollout, &head, &ppo);
+            let [loss, policy] = losses(rollout, &head, &ppo, 1);
             (loss - policy).double_value(&[])
         };
         let lasting = penalty(&rollout);

@@ -204,6 +204,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         let metrics = evaluation.metrics().context("no episode finished")?;
         rows.push(EvaluationResult {
             scenario: setup.scenario.clone(),
+            fingerprint: Some(setup.fingerprint.clone()),
             agents: setup.agents,
             audited: arena.is_audited(),
             learners: arena.learners(setup.agents),

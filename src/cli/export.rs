@@ -98,6 +98,11 @@ impl Exported {
         let document = Document::of_run(source, checkpoint.config.clone());
         let resolved = Layers { document, ..Layers::default() }.resolve()?;
         let (config, place) = (resolved.config, resolved.place);
+        if !config.channel.is_perfect() {
+            say!(
+                "the exported policy has no channel: unlike in the run, every message arrives, at once and unchanged"
+            );
+        }
         let (spec, task) = match &place {
             TaskSource::Scenario(scenario) => {
                 let about = json!({

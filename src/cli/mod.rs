@@ -189,7 +189,7 @@ fn hint(error: &anyhow::Error) -> Option<String> {
 fn hint_of_learning(cause: &(dyn std::error::Error + 'static)) -> Option<String> {
     use crate::{config, train};
     match (cause.downcast_ref::<config::Error>(), cause.downcast_ref::<train::Error>()) {
-        (Some(config::Error::Scenario(e) | config::Error::Overridden { source: e, .. }), _) => {
+        (Some(config::Error::Scenario(e) | config::Error::Overridden { error: e, .. }), _) => {
             e.hint()
         }
         (_, Some(train::Error::Env(e))) => e.hint(),

@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, bail, ensure};
 
 use crate::config;
 use crate::curves::{self, Along, Curve, Line, curve, mean_curve};
@@ -140,8 +140,9 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
 }
 
 fn read(run: &Path, along: Along) -> anyhow::Result<Vec<Line>> {
-    let lines = curves::read(&RunDir::new(run).metrics())
-        .with_context(|| format!("`{}` is not a run folder", run.display()))?;
+    let metrics = RunDir::new(run).metrics();
+    ensure!(metrics.exists(), "`{}` is not a run folder: it has no metrics.jsonl", run.display());
+    let lines = curves::read(&metrics)?;
     let is_empty = |of| curve(&lines, along, SUCCESS, of).is_empty();
     if is_empty(Line::exploration) && is_empty(Line::validation) {
         bail!(

@@ -2,7 +2,7 @@
 
 #![cfg(feature = "learn")]
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
@@ -42,7 +42,10 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let sweep = Sweep::load(&args.file, &args.runs)?;
     let out = args.out.clone().unwrap_or_else(|| PathBuf::from("results").join(&sweep.name));
     let file = word(&args.file);
-    let command = format!("{0} sweep {file}\n{0} report {file}", program());
+    let is_usual = args.runs == Path::new("runs");
+    let runs = if is_usual { String::new() } else { format!(" --runs {}", word(&args.runs)) };
+    let into = if is_usual { String::new() } else { format!(" --out {}", word(&args.runs)) };
+    let command = format!("{0} sweep {file}{into}\n{0} report {file}{runs}", program());
     for path in report::write(&sweep, &command, &out, args.figures)? {
         tell!("{}", path.display());
     }

@@ -56,12 +56,12 @@ pub enum Error {
         name: &'static str,
     },
     /// The scenario is not valid together with settings that override parts of it.
-    #[error("{source} (with {places})")]
+    #[error("{error} (with {places})")]
     Overridden {
         /// The origins of the settings.
         places: String,
         /// The error in the scenario.
-        source: scenario::Error,
+        error: scenario::Error,
     },
     /// The scenario is not valid.
     #[error(transparent)]

@@ -102,7 +102,7 @@ impl ScenarioSettings {
             None if overrides.is_empty() => error.into(),
             None => Error::Overridden {
                 places: overrides.iter().map(place).collect::<Vec<_>>().join(", "),
-                source: error,
+                error,
             },
         })
     }

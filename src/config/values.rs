@@ -103,7 +103,9 @@ impl Values {
             return Ok(());
         }
         if !names.is_empty() {
-            return Err(bad(unknown(keys[0], &value, names)));
+            let auto = "; --profile auto is that of this machine";
+            let auto = if keys == ["profile"] { auto } else { "" };
+            return Err(bad(unknown(keys[0], &value, names) + auto));
         }
         if flatten(&self.table).keys().any(|key| key.starts_with(&format!("{}.", keys.join(".")))) {
             return Err(bad("this is a group of settings; set one of them".to_owned()));

@@ -11,7 +11,7 @@ pub fn reference() -> String {
         "# Metrics\n\nWhat `iwol evaluate` measures, each as a mean with its 95 % interval. The key is that of the \
          JSON output, in which shares go from 0 to 1. Learning curves and all reports show the metrics that are \
          shown everywhere; reports show the metrics of reports if results contain them. Shares of agents are over \
-         the episodes in which an agent arrived, failed or was late; where agents come from route files, there \
+         the episodes in which an agent arrived, failed or was unfinished; where agents come from route files, there \
          may be others.\n\n\
          | metric | key | better | shown | meaning |\n|---|---|---|---|---|\n",
     );

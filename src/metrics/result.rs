@@ -13,6 +13,11 @@ use crate::stats::Estimate;
 pub struct EvaluationResult {
     /// Name of the scenario.
     pub scenario: String,
+    /// Fingerprint of the scenario's files
+    /// ([`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint)), or the name of an
+    /// environment without SUMO; absent in results of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub fingerprint: Option<String>,
     /// Number of agents.
     pub agents: u32,
     /// Number of vehicles that the policy controls; present only if SUMO drives some of the

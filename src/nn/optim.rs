@@ -121,7 +121,7 @@ impl Adam {
                 let _ = copy.shallow_clone().zero_();
             }
             for (number, shard) in all.chunks_exact(self.weights.numel()).enumerate() {
-                let shard = Tensor::from_slice(shard);
+                let shard = Tensor::from_slice(shard).to_device(self.gradient.device());
                 if number == 0 {
                     self.gradient.copy_(&shard);
                 } else {

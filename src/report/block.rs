@@ -90,6 +90,11 @@ impl Block<'_> {
 }
 
 impl Line<'_> {
+    /// Whether all runs at all places have a value of the metric.
+    pub(super) fn is_whole(&self, metric: &Metric) -> bool {
+        self.rows.iter().all(|row| row.is_complete() && row.values(metric).len() == row.runs.len())
+    }
+
     /// Returns whether the sweep has several seeds of this line, finished or not.
     pub(super) fn has_seeds(&self) -> bool {
         self.rows.iter().any(|row| row.runs.len() > 1)

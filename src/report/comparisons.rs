@@ -1,5 +1,7 @@
 //! The comparisons that a sweep names (`[[contrast]]`).
 
+use std::fmt::Write as _;
+
 use super::Error;
 use super::document::Document;
 use crate::curves::{self, Along};
@@ -15,21 +17,22 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
     }
     let rows: Vec<Row<'_>> =
         sweep.contrasts.iter().map(|contrast| row(sweep, contrast)).collect::<Result<_, _>>()?;
-    let found: Vec<f64> = rows.iter().filter_map(|row| Some(row.found?.p)).collect();
-    let mut corrected = holm(&found).into_iter();
+    // A comparison that cannot be made yet counts as one, since it was named.
+    let found: Vec<f64> = rows.iter().map(|row| row.found.map_or(1.0, |found| found.p)).collect();
+    let corrected = holm(&found);
     document.heading(2, "Comparisons");
     document.text(
         "Differences of interquartile means over seeds, as the sweep file names them, with 95 % intervals and two-sided p-values \
          of a stratified bootstrap with seeds as the unit, and p-values corrected for all rows together (Holm). With fewer than \
          about five seeds the intervals are too narrow and the p-values too small.",
     );
-    let table = rows.iter().map(|row| {
+    let table = rows.iter().zip(corrected).map(|(row, corrected)| {
         let mut cells = vec![row.contrast.title.clone(), row.heading(), row.runs()];
         match row.found {
             Some(found) => {
-                cells.push(found.difference.to_string());
-                cells.push(chance(found.p));
-                cells.extend(corrected.next().map(chance));
+                let digits = row.metric.scale.digits;
+                cells.push(format!("{:.digits$}", found.difference));
+                cells.extend([found.p, corrected].map(chance));
             }
             None => cells.extend(["–", "–", "–"].map(str::to_owned)),
         }
@@ -45,13 +48,20 @@ fn chance(p: f64) -> String {
     if p < 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
 
+/// Numbers of runs of a group.
+struct Count {
+    all: usize,
+    finished: usize,
+    /// How many of the finished runs have the metric: those in which nobody arrives have no delay.
+    with_value: usize,
+}
+
 /// A row of the table.
 struct Row<'a> {
     contrast: &'a Contrast,
     metric: &'static Metric,
-    /// Numbers of finished and of all runs of each group.
-    counts: Vec<(usize, usize)>,
-    /// `None` if a group has fewer than two finished runs.
+    counts: Vec<Count>,
+    /// `None` if a group has fewer than two finished runs, or one without a value.
     found: Option<Found>,
 }
 
@@ -67,8 +77,13 @@ impl Row<'_> {
 
     /// Returns the numbers of runs of the groups.
     fn runs(&self) -> String {
-        let show = |&(finished, all): &(usize, usize)| {
-            if finished == all { all.to_string() } else { format!("{finished} of {all}") }
+        let show = |&Count { all, finished, with_value }: &Count| {
+            let mut text =
+                if finished == all { all.to_string() } else { format!("{finished} of {all}") };
+            if with_value < finished {
+                let _ = write!(text, " ({} without a value)", finished - with_value);
+            }
+            text
         };
         self.counts.iter().map(show).collect::<Vec<_>>().join(", ")
     }
@@ -80,40 +95,46 @@ fn row<'a>(sweep: &'a Sweep, named: &'a Contrast) -> Result<Row<'a>, Error> {
     let (mut groups, mut counts) = (Vec::new(), Vec::new());
     for (weight, when) in named.groups() {
         let cells: Vec<&Cell> = named.cells(&sweep.cells, when, Some(evaluate)).collect();
-        let values = match named.of {
+        let found = match named.of {
             Compared::Evaluation => evaluated(&cells, named, evaluate, metric)?,
             Compared::Training => areas(&cells, metric)?,
         };
-        counts.push((values.len(), cells.len()));
+        let finished = found.len();
+        let values: Vec<f64> = found.into_iter().flatten().collect();
+        counts.push(Count { all: cells.len(), finished, with_value: values.len() });
         groups.push((weight, values));
     }
-    Ok(Row { contrast: named, metric, counts, found: contrast(&groups) })
+    // Without the runs that have no value, the others of their group would count for it.
+    let whole = counts.iter().all(|count| count.with_value == count.finished);
+    let found = if whole { contrast(&groups) } else { None };
+    Ok(Row { contrast: named, metric, counts, found })
 }
 
-/// Returns a metric of the cells that have been evaluated.
+/// Returns a metric of the cells that have been evaluated; `None` of those without a value.
 fn evaluated(
     cells: &[&Cell],
     named: &Contrast,
     evaluate: &Evaluate,
     metric: &Metric,
-) -> Result<Vec<f64>, Error> {
+) -> Result<Vec<Option<f64>>, Error> {
     let combination = named.combination(evaluate).expect("checked with the file");
     let mut values = Vec::new();
     for cell in cells {
-        let found = cell.evaluation(evaluate, &combination)?;
-        let mean = found.and_then(|found| Some(metric.estimate(&found.metrics)?.mean));
-        values.extend(mean.filter(|mean| !mean.is_nan()));
+        let Some(found) = cell.evaluation(evaluate, &combination)? else { continue };
+        let mean = metric.estimate(&found.metrics).map(|estimate| estimate.mean);
+        values.push(mean.filter(|mean| !mean.is_nan()));
     }
     Ok(values)
 }
 
-/// Returns the areas under the curves of the cells that have been trained.
-fn areas(cells: &[&Cell], metric: &Metric) -> Result<Vec<f64>, Error> {
+/// Returns the areas under the curves of the cells that have been trained; `None` of those without
+/// a curve.
+fn areas(cells: &[&Cell], metric: &Metric) -> Result<Vec<Option<f64>>, Error> {
     let mut values = Vec::new();
     for cell in cells.iter().filter(|cell| cell.trained().is_some()) {
         let lines = curves::read(&cell.run().metrics())?;
         let curve = curves::curve(&lines, Along::Steps, metric, curves::Line::validation);
-        values.extend(curves::mean_height(&curve, cell.config.steps as f64));
+        values.push(curves::mean_height(&curve, cell.config.steps as f64));
     }
     Ok(values)
 }

@@ -77,10 +77,8 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     }
     // All panels of a metric have the same scale.
     let of_all = |line: &Line<'_>| {
-        line.rows
-            .iter()
-            .filter_map(|row| Some(row.estimate(metric, unit)?.mean))
-            .collect::<Vec<_>>()
+        let estimates = line.rows.iter().filter_map(|row| row.estimate(metric, unit));
+        estimates.flat_map(|e| [e.mean, e.low]).collect::<Vec<_>>()
     };
     let all = block
         .series
@@ -114,7 +112,8 @@ fn side_by_side(
         .iter()
         .enumerate()
         .filter_map(|(x, (_, line))| Some((x as f64, line.rows[0].estimate(metric, unit)?)));
-    let (points, band): (Vec<_>, _) = found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
+    let (points, band): (Vec<_>, Vec<_>) =
+        found.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
     // Published values are drawn next to the line that they belong to, otherwise at a place of
     // their own.
     let mut categories: Vec<String> = lines.iter().map(|(label, _)| (*label).to_owned()).collect();
@@ -130,7 +129,8 @@ fn side_by_side(
         }
         known.extend(values.iter().map(|(_, y)| (x, *y)));
     }
-    let y_range = scale(metric, points.iter().chain(&known).map(|point| point.1));
+    let ends = band.iter().map(|&(_, low, _)| low);
+    let y_range = scale(metric, points.iter().chain(&known).map(|point| point.1).chain(ends));
     let here = Series {
         label: HERE.to_owned(),
         points: apart(points),
@@ -154,9 +154,10 @@ fn side_by_side(
 }
 
 /// Returns the ends of the axis of a rate; `None` for other metrics. The axis begins at 85 % if all
-/// values exceed 90 %, because the differences then lie in the last percent.
+/// values and lower ends of intervals exceed 90 %, because the differences then lie in the last
+/// percent. A single seed has no interval.
 fn scale(metric: &Metric, values: impl Iterator<Item = f64>) -> Option<(f64, f64)> {
-    let lowest = values.fold(f64::INFINITY, f64::min);
+    let lowest = values.filter(|value| value.is_finite()).fold(f64::INFINITY, f64::min);
     metric.is_rate().then_some((if lowest > 90.0 { 85.0 } else { 0.0 }, 100.0))
 }
 
@@ -177,12 +178,12 @@ fn axis_label(key: &str) -> String {
     }
 }
 
-/// Draws performance profiles. Returns `false`, and draws nothing, if fewer than two lines have
-/// results.
+/// Draws performance profiles of the lines that have all their results. Returns `false`, and draws
+/// nothing, if these are fewer than two.
 pub(super) fn profile(path: &Path, block: &Block<'_>) -> Result<bool, Error> {
     let thresholds: Vec<f64> = (0..=100).map(f64::from).collect();
     let series: Vec<Series> = (block.series.iter())
-        .filter(|line| line.rows.iter().any(|row| !row.values(SUCCESS).is_empty()))
+        .filter(|line| line.is_whole(SUCCESS))
         .map(|line| {
             let shares = performance_profile(&scores(line, SUCCESS), &thresholds);
             let points =

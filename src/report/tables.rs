@@ -60,12 +60,14 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
                 );
             }
         }
+        // Rates of background traffic are over the episodes that had some, whose number is not known
+        // here.
+        let pooled = |metric: &&Metric| metric.is_rate() && !metric.id.contains('.');
         let ties = |metric: &&Metric| {
-            metric.is_rate()
+            pooled(metric)
                 && several.iter().flat_map(|line| &line.rows).any(|row| row.is_tied(metric))
         };
-        let rates: Vec<&Metric> =
-            metrics.iter().copied().filter(|metric| metric.is_rate()).collect();
+        let rates: Vec<&Metric> = metrics.iter().copied().filter(|metric| pooled(metric)).collect();
         if rates.iter().any(ties) {
             document.text(
                 "Where all seeds have the same result, the interval over seeds is a point. The following table has intervals \
@@ -101,7 +103,8 @@ fn table(
             });
             rows[row][0].clone_from(&reference.label);
             for (place, value) in points {
-                rows[row][1 + number * places + place] = format!("{value:.1}");
+                let digits = metric.scale.digits;
+                rows[row][1 + number * places + place] = format!("{value:.digits$}");
             }
         }
     }
@@ -133,9 +136,10 @@ fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
     } else {
         String::new()
     };
+    let digits = metric.scale.digits;
     match unit {
-        Unit::Seeds => format!("{}{partial}", over_seeds(&values, 1)),
-        Unit::Episodes | Unit::Together => format!("{e}{partial}"),
+        Unit::Seeds => format!("{}{partial}", over_seeds(&values, digits)),
+        Unit::Episodes | Unit::Together => format!("{e:.digits$}{partial}"),
     }
 }
 
@@ -232,8 +236,7 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
 /// Adds aggregates over all places, and the probability that one line is better than another.
 pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     let success = SUCCESS;
-    let whole = |row: &Row<'_>| row.is_complete() && row.values(success).len() == row.runs.len();
-    let lines: Vec<_> = block.series.iter().filter(|line| line.rows.iter().all(whole)).collect();
+    let lines: Vec<_> = block.series.iter().filter(|line| line.is_whole(success)).collect();
     if lines.is_empty() {
         return;
     }

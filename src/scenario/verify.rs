@@ -26,7 +26,14 @@ impl Scenario {
             None
         });
         list.sort_by_key(|finding| finding.at.map(|at| (at.line, at.column)));
-        Findings { scenario, list }
+        // What is wrong with a route is found in each net that has it.
+        let mut once: Vec<Finding> = Vec::new();
+        for finding in list {
+            if !once.contains(&finding) {
+                once.push(finding);
+            }
+        }
+        Findings { scenario, list: once }
     }
 }
 

@@ -1,6 +1,7 @@
 //! One cell of a sweep: a run with its evaluations. The progress of both follows from the files in
 //! the cell's folder.
 
+use std::collections::BTreeMap;
 use std::fs::{File, TryLockError};
 use std::io::{Read as _, Seek as _, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -28,6 +29,8 @@ pub struct Cell {
     /// Fingerprint of the scenario's files
     /// ([`Scenario::fingerprint`](crate::scenario::Scenario::fingerprint)).
     pub fingerprint: String,
+    /// The same of the scenario of each evaluation, by its `--set`s.
+    pub evaluated: BTreeMap<Vec<String>, String>,
     /// Id of the cell that must be trained first, because this cell starts with its policy.
     pub after: Option<String>,
 }
@@ -160,8 +163,8 @@ impl Cell {
         })
     }
 
-    /// Returns the result of exactly this evaluation: with the same episodes, checkpoint and
-    /// settings. `None` if there is none.
+    /// Returns the result of exactly this evaluation: with the same episodes, checkpoint, settings
+    /// and scenario, of a run that is trained to its end. `None` if there is none.
     ///
     /// # Errors
     /// [`Error::Damaged`] if the file is not a result, [`Error::Record`] if it cannot be read.
@@ -170,6 +173,10 @@ impl Cell {
         evaluate: &Evaluate,
         combination: &[(String, Value)],
     ) -> Result<Option<EvaluationResult>, Error> {
+        // The results of a run that goes on are those of old weights.
+        if self.trained().is_none() {
+            return Ok(None);
+        }
         let path = self.result(evaluate, combination);
         let bytes = match std::fs::read(&path) {
             Ok(bytes) => bytes,
@@ -178,9 +185,11 @@ impl Cell {
         };
         let found: EvaluationResult =
             serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path, source })?;
+        let known = found.fingerprint.as_ref().zip(self.evaluated.get(&found.set));
         let same = found.episodes == evaluate.episodes
             && found.checkpoint.as_deref() == Some(evaluate.checkpoint.file())
-            && found.set == evaluate.sets(combination);
+            && found.set == evaluate.sets(combination)
+            && known.is_none_or(|(was, is)| was == is);
         Ok(same.then_some(found))
     }
 
@@ -273,16 +282,21 @@ impl Cell {
     }
 
     /// Copies the data of reports, if training is finished, to the same place below another folder
-    /// of run folders: settings, versions, validations and evaluations, without weights.
+    /// of run folders: settings, versions, validations and evaluations, without weights. An earlier
+    /// copy is removed, also if there is nothing to copy.
     ///
     /// # Errors
-    /// If a file cannot be read or written, or the copy would replace a run with weights.
+    /// If a file cannot be read, written or removed, or the copy would replace a run with weights.
     pub fn keep(&self, out: &Path, sweep: &str) -> Result<(), Error> {
-        let Some(trained) = self.trained() else { return Ok(()) };
         let kept = Self { folder: out.join(sweep).join(&self.id), ..self.clone() };
-        if kept.run().last().exists() || kept.run().best().exists() {
+        let itself = std::fs::canonicalize(&kept.folder).ok();
+        let itself =
+            itself.is_some_and(|kept| Some(kept) == std::fs::canonicalize(&self.folder).ok());
+        if itself || kept.run().last().exists() || kept.run().best().exists() {
             return Err(Error::Kept { folder: kept.folder });
         }
+        remove_folder(&kept.folder)?;
+        let Some(trained) = self.trained() else { return Ok(()) };
         let evaluations = self.folder.join("evaluations");
         let copies = kept.folder.join("evaluations");
         std::fs::create_dir_all(&copies).map_err(record::Error::io("create", &copies))?;
@@ -294,7 +308,9 @@ impl Cell {
             std::fs::read_dir(&evaluations).map_err(record::Error::io("read", &evaluations))?
         {
             let name = entry.map_err(record::Error::io("read", &evaluations))?.file_name();
-            files.push((evaluations.join(&name), copies.join(&name)));
+            if Path::new(&name).extension().is_some_and(|end| end == "json") {
+                files.push((evaluations.join(&name), copies.join(&name)));
+            }
         }
         for (from, to) in files {
             write_atomic(&to, &std::fs::read(&from).map_err(record::Error::io("read", &from))?)?;
@@ -313,26 +329,21 @@ impl Cell {
     /// # Errors
     /// If a file cannot be written or removed.
     pub fn mark_trained(&self) -> Result<(), Error> {
-        let evaluated = self.folder.join("evaluations");
-        match std::fs::remove_dir_all(&evaluated) {
-            Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
-                return Err(record::Error::io("remove", &evaluated)(source).into());
-            }
-            _ => {}
-        }
+        remove_folder(&self.folder.join("evaluations"))?;
         let trained = Trained { steps: self.steps(), seconds: self.seconds() };
         let text = serde_json::to_string(&trained).expect("two numbers");
         write_atomic(&self.trained_mark(), text.as_bytes())?;
         self.retry()
     }
 
-    /// Marks the cell as failed, with the reason and the last lines of the log, and returns that
-    /// text.
+    /// Marks the cell as failed, with the reason and the last lines of the log from byte `start`
+    /// on, and returns that text.
     ///
     /// # Errors
     /// If the file cannot be written.
-    pub fn mark_failed(&self, why: &str) -> Result<String, Error> {
-        let log = std::fs::read_to_string(self.log()).unwrap_or_default();
+    pub fn mark_failed(&self, why: &str, start: u64) -> Result<String, Error> {
+        let log = std::fs::read(self.log()).unwrap_or_default();
+        let log = String::from_utf8_lossy(log.get(start as usize..).unwrap_or_default());
         let lines: Vec<&str> = log.lines().filter(|line| !line.trim().is_empty()).collect();
         // The excerpt begins at the last error message; without one it consists of the last six
         // lines.
@@ -358,6 +369,16 @@ impl Cell {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// Removes a folder with what it contains, if there is one.
+fn remove_folder(path: &Path) -> Result<(), Error> {
+    match std::fs::remove_dir_all(path) {
+        Err(source) if source.kind() != std::io::ErrorKind::NotFound => {
+            Err(record::Error::io("remove", path)(source).into())
+        }
+        _ => Ok(()),
     }
 }
 

@@ -82,6 +82,11 @@ impl Contrast {
             let known: Vec<&str> = all.map(|metric| metric.id).collect();
             return Err(format!("{at}: metric must be one of {}", known.join(", ")));
         }
+        if self.metric == "km_per_crash" {
+            return Err(format!(
+                "{at}: a run without a crash has no number for km_per_crash; compare `crash`"
+            ));
+        }
         if self.of == Compared::Training && (self.evaluate.is_some() || !self.at.is_empty()) {
             return Err(format!(
                 "{at}: with `of = \"training\"`, the curves of validations are compared: omit `evaluate` and `at`"

@@ -11,7 +11,8 @@ use super::conditions::{self, holds, listed};
 use super::distinct::check_distinct;
 use super::{Cell, Contrast, Error, Evaluate, Reference, base, combinations, label, value_of};
 use crate::config::{
-    self, Document, Layers, Resolution, flatten, full_name, no_matter_of_evaluation, plain,
+    self, Config, Document, Layers, Resolution, TaskSource, flatten, full_name,
+    no_matter_of_evaluation, plain,
 };
 use crate::metrics::{self, Shown};
 
@@ -239,6 +240,7 @@ impl File {
             (Some(x), _) => Some(x),
             (None, [only]) => Some(*only),
             _ => varying()
+                .chain(own.iter().copied())
                 .find(|key| *key == "agents")
                 .or_else(|| varying().chain(own).find(|key| *key != "algorithm")),
         };
@@ -282,7 +284,8 @@ impl File {
         let (skipped, kept): (Vec<_>, Vec<_>) = combinations(&self.grid)
             .into_iter()
             .partition(|values| self.skip.iter().any(|skip| left_out(skip, values)));
-        match self.skip.iter().find(|skip| !skipped.iter().any(|values| left_out(skip, values))) {
+        let unused = |skip: &&Skip| !skipped.iter().any(|values| left_out(skip, values));
+        match self.skip.iter().find(unused).filter(|_| !self.inherited[1]) {
             Some(skip) => Err(format!("[[skip]]: no combination has {}", listed(&skip.when))),
             None if kept.is_empty() => Err("[[skip]] leaves no cell".to_owned()),
             None => Ok(kept),
@@ -323,18 +326,32 @@ impl File {
                 ),
             ));
         }
-        let known = config.scenario.file.join(&config.environment);
-        let fingerprint = fingerprints.entry(known).or_insert_with(|| task.fingerprint()).clone();
+        let mut fingerprint = |config: &Config, task: &TaskSource| {
+            let known = config.scenario.file.join(&config.environment);
+            fingerprints.entry(known).or_insert_with(|| task.fingerprint()).clone()
+        };
+        let of_training = fingerprint(&config, &task);
         if let Some(why) = config.cannot_be_trained() {
             return Err(wrong(file, format!("cell {id}: {why}")));
         }
-        let cell = Cell { folder: folder.join(&id), id, values, config, fingerprint, after };
+        let mut cell = Cell {
+            folder: folder.join(&id),
+            id,
+            values,
+            config,
+            fingerprint: of_training,
+            evaluated: BTreeMap::new(),
+            after,
+        };
         // Errors in an evaluation are reported now, not after the training.
-        for evaluate in self.evaluate.iter().filter(|evaluate| evaluate.applies(&cell)) {
+        let applying = self.evaluate.iter().filter(|evaluate| evaluate.applies(&cell));
+        for evaluate in applying.collect::<Vec<_>>() {
             for combination in evaluate.combinations() {
                 let sets = evaluate.sets(&combination);
                 let useless = sets.iter().find_map(|set| no_matter_of_evaluation(set));
-                let asked = resolve(&Layers { sets, ..layers.clone() })?.config;
+                let asked = resolve(&Layers { sets: sets.clone(), ..layers.clone() })?;
+                let Resolution { config: asked, place: task, .. } = asked;
+                cell.evaluated.insert(sets, fingerprint(&asked, &task));
                 if let Some(why) = useless.or_else(|| cell.config.cannot_serve(&asked)) {
                     return Err(wrong(
                         file,
@@ -349,18 +366,20 @@ impl File {
         Ok(cell)
     }
 
-    /// Checks that every rule and every evaluation applies to at least one cell; `matched` says so
-    /// for the rules.
+    /// Checks that every rule and every evaluation of this file applies to at least one cell;
+    /// `matched` says so for the rules. Those of its base may be for values that this file leaves
+    /// out of the grid.
     fn check_used(&self, cells: &[Cell], matched: &[bool]) -> Result<(), String> {
-        if let Some(rule) = matched.iter().position(|matched| !matched) {
+        let [rules, _, evaluations] = self.inherited;
+        if let Some(rule) = matched.iter().position(|matched| !matched && !rules) {
             return Err(format!(
                 "[[rule]] number {}: no cell has {}",
                 rule + 1,
                 listed(&self.rule[rule].when)
             ));
         }
-        match self.evaluate.iter().find(|evaluate| !cells.iter().any(|cell| evaluate.applies(cell)))
-        {
+        let unused = |evaluate: &&Evaluate| !cells.iter().any(|cell| evaluate.applies(cell));
+        match self.evaluate.iter().filter(|_| !evaluations).find(unused) {
             Some(unused) => {
                 Err(format!("[[evaluate]] `{}`: no cell has {}", unused.name, listed(&unused.when)))
             }

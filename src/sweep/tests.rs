@@ -222,6 +222,92 @@ fn a_run_that_went_on_is_evaluated_again() {
     assert!(cell.trained().is_some() && !results.join("range.json").exists());
 }
 
+/// Writes a cell as if it were trained, with the result of each evaluation on the scenario with
+/// this fingerprint.
+fn write_results(sweep: &Sweep, cell: &Cell, fingerprint: Option<&str>) {
+    std::fs::create_dir_all(&cell.folder).unwrap();
+    std::fs::write(cell.run().config(), cell.config.to_toml()).unwrap();
+    std::fs::write(cell.run().metrics(), "").unwrap();
+    cell.mark_trained().unwrap();
+    std::fs::create_dir_all(cell.folder.join("evaluations")).unwrap();
+    for evaluate in &sweep.evaluations {
+        for combination in evaluate.combinations() {
+            let result = serde_json::json!({
+                "episodes": evaluate.episodes, "checkpoint": evaluate.checkpoint.file(),
+                "set": evaluate.sets(&combination), "fingerprint": fingerprint, "metrics": {},
+            });
+            std::fs::write(cell.result(evaluate, &combination), result.to_string()).unwrap();
+        }
+    }
+}
+
+/// Results of other files than those that the scenario of an evaluation names now do not count.
+#[test]
+fn results_of_a_scenario_that_has_changed_are_made_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = r#"scenario = ["scenarios/intersection.xml", "scenarios/mixed_cross.xml"]"#;
+    let text = FILE.replace("\"scenario.communication.range\" = [100.0, 10.0]", files);
+    let sweep = Sweep::parse(&text, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    let state = |fingerprint: Option<&str>| {
+        write_results(&sweep, cell, fingerprint);
+        cell.state(&sweep.evaluations)
+    };
+    assert_eq!(state(None), State::Finished, "results of earlier versions do not say");
+    assert_eq!(state(Some("0")), State::Trained(2));
+    // Each of the two evaluations has a scenario of its own.
+    assert_eq!(state(Some(&cell.fingerprint)), State::Trained(1));
+}
+
+/// A run that goes on, or is trained anew in the same folder, has no results until it is trained.
+#[test]
+fn runs_that_are_not_finished_have_no_results() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let (cell, evaluate) = (&sweep.cells[0], &sweep.evaluations[0]);
+    write_results(&sweep, cell, None);
+    let found = || cell.evaluation(evaluate, &evaluate.combinations()[0]).unwrap();
+    assert!(found().is_some());
+    std::fs::write(cell.run().metrics(), "{\"step\": 9999999}\n").unwrap();
+    assert!(found().is_none());
+}
+
+/// What is kept is what there is now, not what an earlier copy had besides.
+#[test]
+fn a_second_copy_replaces_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let (one, other) = (&sweep.cells[0], &sweep.cells[1]);
+    let kept = folder.path().join("kept");
+    let copy = |cell: &Cell| {
+        cell.keep(&kept, "s").unwrap();
+        kept.join("s").join(&cell.id)
+    };
+    for cell in [one, other] {
+        write_results(&sweep, cell, None);
+        std::fs::write(cell.folder.join("evaluations/.tmp1"), "half").unwrap();
+        assert_eq!(std::fs::read_dir(copy(cell).join("evaluations")).unwrap().count(), 2);
+    }
+    one.mark_trained().unwrap();
+    std::fs::create_dir_all(one.folder.join("evaluations")).unwrap();
+    std::fs::remove_dir_all(&other.folder).unwrap();
+    assert_eq!(std::fs::read_dir(copy(one).join("evaluations")).unwrap().count(), 0);
+    assert!(!copy(other).exists());
+}
+
+/// A cell that fails again is reported with what its last attempt wrote.
+#[test]
+fn a_failure_is_told_from_its_own_part_of_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let cell = &sweep.cells[0];
+    std::fs::create_dir_all(&cell.folder).unwrap();
+    let first = "error: the first attempt\n";
+    std::fs::write(cell.log(), format!("{first}begun again\n")).unwrap();
+    let told = cell.mark_failed("was killed", first.len() as u64).unwrap();
+    assert_eq!(told, "was killed\nbegun again");
+}
+
 #[test]
 fn two_evaluations_do_not_write_the_same_file() {
     let more = |name: &str| {
@@ -395,6 +481,8 @@ fn own_rules_of_a_file_with_a_base_are_checked() {
         Sweep::load(&file, Path::new("out")).map(|sweep| sweep.cells.len())
     };
     assert_eq!(load("base = \"base.toml\"\n[grid]\nalgorithm = [\"mappo\"]").unwrap(), 4);
+    // The rule of the base is for MAPPO.
+    assert_eq!(load("base = \"base.toml\"\n[grid]\nalgorithm = [\"im-iwol\"]").unwrap(), 4);
     let rule = "base = \"base.toml\"\n[[rule]]\nwhen = { agents = 99 }\nset = { steps = 9 }";
     let refused = load(rule).expect_err("must be refused").to_string();
     assert!(refused.contains("`when` names agents = 99"), "{refused}");

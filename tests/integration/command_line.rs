@@ -274,6 +274,16 @@ fn damaged_checkpoints_are_refused() {
     settings of the run replace values in DIR/site/a.xml: scenario.termination.wreckTime = 2.5 (was 0.0)
     "#);
 
+    // An edited config.toml changes nothing, and that is said.
+    let config = site_run.join("config.toml");
+    let whole = std::fs::read_to_string(&config).expect("it is there");
+    let edited =
+        whole.replace("seed = 0", "seed = 1").replace("wreckTime = 2.5", "wreckTime = 9.0");
+    std::fs::write(&config, edited).expect("a file");
+    let (after, said) = evaluation();
+    assert_eq!(after, before);
+    assert_snapshot!(said.lines().next().expect("a line").replace(&dir.path().display().to_string(), "DIR"), @"DIR/site_run/config.toml is not what the checkpoint was trained with, whose settings count; use --set for others: scenario.termination.wreckTime = 9.0 (was 2.5)");
+
     // A second run into the same folder is refused without --resume.
     let tidy = |text: String| text.replace(&dir.path().display().to_string(), "DIR");
     assert_snapshot!(tidy(failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(&run))), @r#"

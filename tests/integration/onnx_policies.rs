@@ -2,7 +2,10 @@
 //! that do not fit the task are refused.
 
 use std::fs;
+use std::path::Path;
 
+use iwol_sumo::checkpoint::Checkpoint;
+use iwol_sumo::train::RunDir;
 use serde_json::Value;
 
 use crate::support::{failure, folder, iwol, root, succeeds, text};
@@ -135,4 +138,23 @@ fn a_channel_is_refused_beside_a_model() {
     let task = ["evaluate", "--scenario", &scenario, "--policy", &policy, "--episodes", "1"];
     let said = failure(&mut iwol(&[&task[..], &["--set", "channel.loss=1"]].concat()));
     assert!(said.contains("contains the policy without a channel"), "{said}");
+}
+
+/// A run that was trained with a disturbed channel has a model without one, which is said.
+#[test]
+fn exports_say_that_they_lack_the_channel() {
+    let folder = folder();
+    let run = root().join("policies/ex-iwol-8");
+    let said = |run: &Path, file: &str| {
+        let file = folder.path().join(file).display().to_string();
+        let run = run.display().to_string();
+        text(&succeeds(&mut iwol(&["export", &run, "--onnx", &file])).stderr)
+    };
+    assert_eq!(said(&run, "whole.onnx"), "");
+    let mut checkpoint = Checkpoint::load(&RunDir::checkpoint(&run)).expect("a policy");
+    checkpoint.config = checkpoint.config.replace("[channel]\n", "[channel]\ndelay = 2\n");
+    let disturbed = folder.path().join("disturbed.safetensors");
+    checkpoint.config = checkpoint.config.replacen("delay = 0\n", "", 1);
+    checkpoint.save(&disturbed).expect("saved");
+    assert!(said(&disturbed, "disturbed.onnx").contains("has no channel"));
 }

@@ -256,6 +256,11 @@ metric = "success"
 of = "training"
 plus = [{{ algorithm = "im-iwol", agents = 4 }}]
 minus = [{{ algorithm = "mappo", agents = 4 }}]
+[[contrast]]
+title = "a run without a value"
+metric = "loitering"
+plus = [{{ algorithm = "im-iwol", agents = 4 }}]
+minus = [{{ algorithm = "mappo", agents = 4 }}]
 "#
     );
     let sweep = Sweep::parse(&text, "s.toml", "s", folder.path()).expect("a sweep");
@@ -266,10 +271,21 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
         own + 0.01 * cell.config.seed as f64
     };
     results(&sweep, success, |_| Value::Null);
+    // One run lacks a metric.
+    let (cell, evaluate) = (&sweep.cells[0], &sweep.evaluations[0]);
+    assert_eq!(cell.id, "im-iwol_agents=4/seed_0");
+    let file = cell.result(evaluate, &[]);
+    let mut found: Value =
+        serde_json::from_str(&std::fs::read_to_string(&file).expect("written")).expect("JSON");
+    found["metrics"]["loitering"] = Value::Null;
+    std::fs::write(&file, found.to_string()).expect("written");
     let (markdown, _) = report(&sweep, folder.path());
     let tables = tables(&markdown);
     let table = tables.iter().find(|table| table[0][0] == "comparison").expect("a table");
-    let [_, first, second, third, sooner] = &table[..] else { panic!("{table:?}") };
+    let [_, first, second, third, sooner, lacking] = &table[..] else { panic!("{table:?}") };
+    assert_eq!(lacking[2..], ["3 (1 without a value), 3", "–", "–", "–"]);
+    // Holm's correction is for all five, made or not.
+    assert_eq!(first[5], "0.005", "{first:?}");
     assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "3, 3"], "{first:?}");
     assert!(first[3].starts_with("30.0 [28") && first[4] == "< 0.001", "{first:?}");
     assert!(second[3].starts_with("20.0 [1") && second[2] == "3, 3, 3, 3", "{second:?}");
@@ -285,6 +301,8 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     };
     let metric = wrong("metric = \"success\"", "metric = \"sucess\"");
     assert!(metric.contains("`Im-IWoL against MAPPO among 4`: metric must be one of success"));
+    let endless = wrong("metric = \"loitering\"", "metric = \"km_per_crash\"");
+    assert!(endless.contains("a run without a crash has no number"), "{endless}");
     let unseen = wrong("metric = \"success\"\nof", "metric = \"others.pet\"\nof");
     assert!(unseen.contains("the metric of validations must be one of success"), "{unseen}");
     let named = wrong("of = \"training\"", "of = \"training\"\nevaluate = \"last\"");

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import atexit
+import contextlib
 import importlib.util
 import os
 import weakref
@@ -55,9 +56,13 @@ _open: weakref.WeakSet[Any] = weakref.WeakSet()
 
 @atexit.register
 def _close_all() -> None:
-    for environment in list(_open):
-        environment.close()
-    _native.silence()
+    try:
+        for environment in list(_open):
+            # One in which another thread is at work refuses; its SUMO ends with this process.
+            with contextlib.suppress(Error):
+                environment.close()
+    finally:
+        _native.silence()
 
 
 def parallel_env(
@@ -78,7 +83,7 @@ def parallel_env(
         seed: stream of episodes until :meth:`VehicleEnv.reset` gets another.
         render_mode: ``"html"``, ``"svg"`` or ``"rgb_array"`` records episodes for :meth:`VehicleEnv.render`.
         overrides: other values of the scenario's settings, such as ``{"observation.neighbours": 2}``;
-            :func:`settings` lists them.
+            :func:`settings` lists them. None leaves a setting as the scenario has it.
         timeout: longest wait for an answer of SUMO [s].
         audit: whether SUMO looks for collisions on junctions as well, for comparison with the environment's own test.
 

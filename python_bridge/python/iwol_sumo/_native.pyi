@@ -28,7 +28,12 @@ __all__ = [
 
 @final
 class NativeTask:
-    def __new__(cls, path: str | os.PathLike[str], agents: int | None, overrides: Sequence[tuple[str, str]]) -> NativeTask: ...
+    def __new__(
+        cls,
+        path: str | os.PathLike[str],
+        agents: int | None,
+        overrides: Sequence[tuple[str, str | None]],
+    ) -> NativeTask: ...
     @property
     def name(self) -> str: ...
     @property

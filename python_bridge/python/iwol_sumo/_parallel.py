@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 from collections.abc import Mapping
@@ -14,21 +15,39 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from . import _native
+from ._arguments import whole
 from ._scenarios import load_task
 from ._vec import Feature, Frame, box
 from .errors import Error
 
 
-def _info(comm: NDArray[np.float32], outcome: list[bool], interrupted: bool) -> dict[str, Any]:
+def _info(
+    slot: int, comm: NDArray[np.float32], outcome: list[bool], interrupted: bool
+) -> dict[str, Any]:
     """Returns an agent's info, which always has the same entries."""
     arrived, crashed, out_of_road = outcome
     return {
+        "slot": slot,
         "comm": comm,
         "arrived": arrived,
         "crashed": crashed,
         "out_of_road": out_of_road,
         "interrupted": interrupted,
     }
+
+
+class Infos(dict[str, dict[str, Any]]):
+    """Infos of the agents that are live.
+
+    TorchRL looks those of all possible agents up at a reset, and gets empty ones for the others.
+    """
+
+    def __init__(self, infos: dict[str, dict[str, Any]], slots: int) -> None:
+        super().__init__(infos)
+        self.slots = slots
+
+    def __missing__(self, agent: str) -> dict[str, Any]:
+        return _info(-1, np.zeros(self.slots, np.float32), [False] * 3, False)
 
 
 class VehicleEnv(ParallelEnv, EzPickle):
@@ -74,10 +93,9 @@ class VehicleEnv(ParallelEnv, EzPickle):
             raise Error(f"render_mode {render_mode!r} is none of 'html', 'rgb_array', 'svg', None")
         self.render_mode = render_mode
         self._env = _native.NativeEnv(task, 1, 1, timeout, audit)
-        self._first_seed = seed
+        self._first_seed = whole("seed", seed)
         self._seed: int | None = None
         self._episode = 0
-        self._closed = False
         self._slots = task.agents
         self.features = [Feature(*row) for row in task.observation]
         """The numbers of an observation."""
@@ -123,25 +141,23 @@ class VehicleEnv(ParallelEnv, EzPickle):
             options: ``{"episode": k}`` starts episode k of the stream. Other entries are ignored.
 
         Returns:
-            Observations and infos of all possible agents; those of agents that are not on the road are zeros.
+            Observations of all possible agents, zeros for those that are not on the road, and
+            infos of the agents that are live.
         """
         if seed is not None or self._seed is None:
-            self._seed, self._episode = (self._first_seed if seed is None else seed), 0
+            stream, episode = (self._first_seed if seed is None else whole("seed", seed)), 0
         else:
-            self._episode += 1
-        self._episode = int((options or {}).get("episode", self._episode))
-        self._env.start(self._seed, self._episode, self.render_mode is not None, self._frame)
-        self._closed = False
+            stream, episode = self._seed, self._episode + 1
+        episode = whole("episode", (options or {}).get("episode", episode), high=2**63 - 1)
+        self._env.start(stream, episode, self.render_mode is not None, self._frame)
+        self._seed, self._episode = stream, episode
         self._names, self._known, self._ended = [None] * self._slots, 0, False
         self._await_agents()
-        nothing = np.zeros(len(self.features), np.float32)
-        observations = dict.fromkeys(self.possible_agents, nothing)
-        unheard = np.zeros(self._slots, np.float32)
-        infos = {name: _info(unheard, [False] * 3, False) for name in self.possible_agents}
+        width = len(self.features)
+        observations = {name: np.zeros(width, np.float32) for name in self.possible_agents}
         for slot, name in self._live:
             observations[name] = self._frame.observation[0, slot].copy()
-        infos.update(self._infos(self._live))
-        return observations, infos
+        return observations, Infos(self._infos(self._live), self._slots)
 
     def step(self, actions: Mapping[str, Any]) -> tuple[
         dict[str, NDArray[np.float32]],
@@ -233,10 +249,13 @@ class VehicleEnv(ParallelEnv, EzPickle):
         """Returns the infos of agents, given by slot and name."""
         comm, outcome = self._frame.comm[0].copy(), self._frame.outcome[0].tolist()
         interrupted = bool(self._frame.interrupted[0])
-        return {name: _info(comm[slot], outcome[slot], interrupted) for slot, name in agents}
+        return {name: _info(slot, comm[slot], outcome[slot], interrupted) for slot, name in agents}
 
     def state(self) -> NDArray[np.float32]:
-        """Returns the privileged state ``[N, S]``: a row for each vehicle slot, zeros where nobody is."""
+        """Returns the privileged state ``[N, S]``.
+
+        Each slot has a row, zeros where nobody is; ``infos[agent]["slot"]`` is the row of an agent.
+        """
         return self._frame.state[0].copy()
 
     def render(self) -> str | NDArray[np.uint8] | None:
@@ -254,7 +273,7 @@ class VehicleEnv(ParallelEnv, EzPickle):
     def _repr_html_(self) -> str:
         """Returns the present step's picture for notebooks, if the episode is recorded."""
         picture = self._env.render(False) if self.render_mode is not None else None
-        return picture or f"<pre>{self!r}</pre>"
+        return picture or f"<pre>{html.escape(repr(self))}</pre>"
 
     def save_replay(self, path: str | os.PathLike[str]) -> None:
         """Writes the episode so far to a file that ``iwol replay`` turns into a player."""
@@ -263,10 +282,8 @@ class VehicleEnv(ParallelEnv, EzPickle):
 
     def close(self) -> None:
         """Ends SUMO. Nothing happens if it does not run."""
-        if not self._closed:
-            self._closed = True
-            self._env.close()
-            self.agents = []
+        self._env.close()
+        self.agents = []
 
     def __enter__(self) -> VehicleEnv:
         return self

@@ -8,7 +8,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from . import _native
+from ._arguments import whole
 from .errors import ScenarioError
 
 FOLDER = Path(__file__).parent / "data" / "scenarios"
@@ -26,29 +29,30 @@ def scenario_file(scenario: str | os.PathLike[str]) -> Path:
         ScenarioError: if there is no such scenario.
     """
     file = Path(scenario)
-    if file.exists():
+    if file.is_file():
         return file
     names = scenarios()
     if str(scenario) in names:
         return FOLDER / f"{scenario}.xml"
     near = difflib.get_close_matches(str(scenario), names, n=1)
-    meant = f"; did you mean {near[0]!r}?" if near else ""
+    meant = f"; did you mean {near[0]!r}?" if near else "."
     raise ScenarioError(
         f"there is no scenario {str(scenario)!r}{meant} Give the path of a scenario file, or one of: {', '.join(names)}"
     )
 
 
-def text_of(value: Any) -> str:
-    """Returns a value as it is written in a scenario file."""
-    if isinstance(value, bool):
+def text_of(value: Any) -> str | None:
+    """Returns a value as it is written in a scenario file; None for None."""
+    if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
-    return str(value)
+    return None if value is None else str(value)
 
 
 def load_task(
     scenario: str | os.PathLike[str], agents: int | None, overrides: Mapping[str, Any] | None
 ) -> _native.NativeTask:
     """Prepares a scenario for a number of vehicles; see :func:`iwol_sumo.parallel_env`."""
+    agents = None if agents is None else whole("agents", agents, 1, 2**32 - 1)
     pairs = [(name, text_of(value)) for name, value in (overrides or {}).items()]
     return _native.NativeTask(scenario_file(scenario), agents, pairs)
 

@@ -13,6 +13,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from . import _native
+from ._arguments import whole
 from ._scenarios import load_task
 from .errors import Error
 
@@ -117,11 +118,12 @@ class VecEnv:
         audit: bool = False,
     ) -> None:
         """Prepares the worlds; see :func:`iwol_sumo.vec_env`."""
+        num_envs = whole("num_envs", num_envs, 1, 2**32 - 1)
+        processes = whole("processes", processes)
+        self._seed = whole("seed", seed)
         task = load_task(scenario, agents, overrides)
         self._env = _native.NativeEnv(task, num_envs, processes, timeout, audit)
-        self._seed = seed
         self._copy = copy
-        self._closed = False
         self.num_envs = num_envs
         """Number of worlds E."""
         self.agents = task.agents
@@ -161,10 +163,11 @@ class VecEnv:
         """
         if "reset_mask" in (options or {}):
             raise Error("single worlds cannot be reset (reset_mask): they reset themselves in the step after an episode")
-        self._seed = self._seed if seed is None else seed
+        stream = self._seed if seed is None else whole("seed", seed)
+        episode = whole("episode", (options or {}).get("episode", 0), high=2**63 - 1)
         frame = self._empty() if self._copy else self._frame
-        self._env.start(self._seed, int((options or {}).get("episode", 0)), False, frame)
-        self._closed = False
+        self._env.start(stream, episode, False, frame)
+        self._seed = stream
         self._episodes = []
         return frame
 
@@ -198,10 +201,8 @@ class VecEnv:
 
     def close(self) -> None:
         """Ends SUMO. Nothing happens if it does not run."""
-        if not self._closed:
-            self._closed = True
-            _ = self.episodes
-            self._env.close()
+        _ = self.episodes
+        self._env.close()
 
     def __enter__(self) -> VecEnv:
         return self
@@ -237,6 +238,8 @@ class FlatVecEnv(gymnasium.vector.VectorEnv):
         """Starts new episodes; `seed` is one number for all worlds."""
         if isinstance(seed, list):
             raise Error("give one seed: worlds take different episodes of its stream")
+        # Gymnasium closes an environment only once.
+        self.closed = False
         frame = self.env.reset(seed, options)
         return frame.observation.reshape(self.num_envs, -1), self._infos(frame)
 

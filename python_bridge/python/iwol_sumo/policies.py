@@ -6,7 +6,9 @@ and MADDPG with IWoL, with the encoder ``mlp``.
 
 from __future__ import annotations
 
+import json
 import os
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,6 +30,8 @@ class Policy(_policy.Policy):
 
     algorithm: str
     """Name of the method."""
+    description: dict[str, Any]
+    """What ``policy.json`` says of method, task and numbers; empty without that file."""
 
     def __call__(self, observation: Any, comm: Any, *_: NDArray[np.bool_]) -> Any:
         if isinstance(observation, Tensor):
@@ -46,6 +50,10 @@ def load_policy(path: str | os.PathLike[str]) -> Policy:
         Error: if the file cannot be read, or its method or encoder is none of those that this module has.
     """
     try:
-        return Policy(os.fspath(path)).eval()
+        policy = Policy(os.fspath(path)).eval()
+        folder = Path(path) if os.path.isdir(path) else Path(path).parent
+        file = folder / "policy.json"
+        policy.description = json.loads(file.read_text()) if file.is_file() else {}
+        return policy
     except (OSError, ValueError, KeyError, RuntimeError) as error:
         raise Error(f"cannot load the policy {os.fspath(path)!r}: {error}") from error

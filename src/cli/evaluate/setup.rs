@@ -24,6 +24,8 @@ pub(super) struct Setup {
     pub(super) arena: Arena,
     /// Name of the scenario.
     pub(super) scenario: String,
+    /// [`TaskSource::fingerprint`] of the task.
+    pub(super) fingerprint: String,
     /// Number of vehicles at spawn places.
     pub(super) agents: u32,
     /// File name of the trained policy's checkpoint.
@@ -91,8 +93,11 @@ impl Setup {
             say!("{line}");
         }
         let run = args.run.as_deref().and_then(RunDir::of);
-        if let (Some(run), TaskSource::Scenario(scenario)) = (run, &place) {
-            tell_changes(args, &run, scenario, replacement);
+        if let (Some(run), Some(checkpoint)) = (&run, &checkpoint) {
+            tell_edits(run, &checkpoint.config);
+        }
+        if let (Some(run), TaskSource::Scenario(scenario)) = (&run, &place) {
+            tell_changes(args, run, scenario, replacement);
         }
         let arena = match &place {
             TaskSource::Scenario(scenario) => Arena::Roads {
@@ -108,6 +113,7 @@ impl Setup {
         Ok(Self {
             arena,
             scenario: place.name().to_owned(),
+            fingerprint: place.fingerprint(),
             agents: config.agents,
             checkpoint: args
                 .run
@@ -136,6 +142,30 @@ impl Setup {
     /// Returns the policy of an ONNX file.
     pub(super) fn model(&self, file: &Path) -> anyhow::Result<Box<dyn Controller>> {
         Ok(Box::new(OnnxPolicy::load(file, self.arena.spec(), self.arena.interval())?))
+    }
+}
+
+/// Says which values in the run's `config.toml` are not those of its checkpoint, `stored`. An
+/// evaluation has the checkpoint's.
+fn tell_edits(run: &RunDir, stored: &str) {
+    let file = run.config();
+    let Ok(text) = std::fs::read_to_string(&file) else { return };
+    if text.parse::<toml::Table>().is_err() {
+        say!("{} is damaged; the settings of the checkpoint count", file.display());
+        return;
+    }
+    let mut edits = config::changes(stored, &text);
+    edits.retain(|edit| {
+        let set = format!("{}=", edit.key);
+        edit.key != "scenario.file" && config::no_matter_of_evaluation(&set).is_none()
+    });
+    if !edits.is_empty() {
+        let edits: Vec<String> = edits.iter().map(ToString::to_string).collect();
+        say!(
+            "{} is not what the checkpoint was trained with, whose settings count; use --set for others: {}",
+            file.display(),
+            edits.join(", ")
+        );
     }
 }
 

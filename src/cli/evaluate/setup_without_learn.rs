@@ -22,6 +22,8 @@ pub(super) struct Setup {
     pub(super) arena: Arena,
     /// Name of the scenario.
     pub(super) scenario: String,
+    /// Fingerprint of the scenario's files, or the name of the environment.
+    pub(super) fingerprint: String,
     /// Number of vehicles at spawn places.
     pub(super) agents: u32,
     /// File name of the trained policy's checkpoint: none.
@@ -57,6 +59,7 @@ impl Setup {
         hosting.backend = choice.backend();
         Ok(Self {
             arena: Arena::Roads { task: Arc::new(Task::new(&scenario, agents)?), hosting },
+            fingerprint: scenario.fingerprint(),
             scenario: scenario.name,
             agents,
             checkpoint: None,
@@ -80,7 +83,8 @@ impl Setup {
             bail!("--agents: the environment has {agents} agents");
         }
         let scenario = named.name.to_owned();
-        Ok(Self { arena, scenario, agents, checkpoint: None, training: None })
+        let fingerprint = scenario.clone();
+        Ok(Self { arena, scenario, fingerprint, agents, checkpoint: None, training: None })
     }
 
     /// Returns the trained policy and its name: none.

@@ -18,11 +18,18 @@ use crate::cli::{Verdict, program};
 pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     let open =
         |cell: &Cell| !matches!(cell.state(&sweep.evaluations), State::Finished | State::Failed(_));
-    let numbers: Vec<usize> =
-        (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number])).collect();
+    let open = (0..sweep.cells.len()).filter(|&number| open(&sweep.cells[number]));
+    let (waiting, numbers): (Vec<usize>, Vec<usize>) =
+        open.partition(|&number| sweep.waits_for(&sweep.cells[number]).is_some());
+    if !waiting.is_empty() {
+        say!(
+            "{} left out, because they begin with policies that are not trained yet; submit again after this job",
+            counted(waiting.len(), "cell")
+        );
+    }
     if numbers.is_empty() {
         say!(
-            "nothing to submit: all cells are finished or failed (--retry runs failed cells again)"
+            "nothing to submit: all other cells are finished or failed (--retry runs failed cells again)"
         );
         return Ok(Verdict::Good);
     }
@@ -55,7 +62,7 @@ pub(super) fn submit(args: &Args, sweep: &Sweep) -> anyhow::Result<Verdict> {
     if !output.status.success() {
         let why = String::from_utf8_lossy(&output.stderr);
         bail!(
-            "sbatch refused `{}`: {} ({}; the cluster's MaxArraySize, 1001 by default, limits their number: see --shard)",
+            "sbatch refused `{}`: {} ({}; the cluster's MaxArraySize, 1001 by default, limits their number: divide a larger sweep among several files)",
             path.display(),
             why.trim(),
             counted(numbers.len(), "task")

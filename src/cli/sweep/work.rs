@@ -101,6 +101,10 @@ fn finish(
     show: &mut dyn FnMut(&str),
 ) -> anyhow::Result<End> {
     let Some(_claim) = cell.claim()? else { return Ok(End::Busy) };
+    // Another sweep may have tried the cell since this one began.
+    if matches!(cell.state(&sweep.evaluations), State::Failed(_)) {
+        return Ok(End::Failed);
+    }
     loop {
         // The next job depends on what another process leaves in the folder.
         let since = Instant::now();
@@ -115,6 +119,7 @@ fn finish(
         if stop.load(Ordering::Relaxed) {
             return Ok(End::Stopped);
         }
+        let logged = std::fs::metadata(cell.log()).map_or(0, |log| log.len());
         match wait(&mut start(cell, &job)?, stop, || show(&job.what))? {
             Some(0) if job.what == "train" => cell.mark_trained()?,
             Some(0) if cell.next(&sweep.evaluations)?.as_ref() != Some(&job) => {}
@@ -126,7 +131,8 @@ fn finish(
                     || "was killed".to_owned(),
                     |code| format!("ended with code {code}"),
                 );
-                cell.mark_failed(&format!("{} {} {how}", program(), job.arguments.join(" ")))?;
+                let what = format!("{} {} {how}", program(), job.arguments.join(" "));
+                cell.mark_failed(&what, logged)?;
                 return Ok(End::Failed);
             }
         }

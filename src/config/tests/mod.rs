@@ -269,7 +269,7 @@ fn profiles_give_sizes_below_presets_and_files() {
     assert_eq!(Config::resolve(&layers).unwrap().0, station);
     assert_eq!(
         message("profile = 'auto'\n", &[]),
-        "c.toml:1:11: bad value for `profile`: there is no profile `auto` (available: laptop, workstation, gpu)"
+        "c.toml:1:11: bad value for `profile`: there is no profile `auto` (available: laptop, workstation, gpu); --profile auto is that of this machine"
     );
 }
 

@@ -38,6 +38,26 @@ fn a_check_names_every_mistake_with_its_place() {
     "#);
 }
 
+/// What is wrong with a route of several nets is said once.
+#[test]
+fn a_check_names_a_mistake_of_all_nets_once() {
+    let folder = folder();
+    let text = fs::read_to_string(root().join("scenarios/intersection.xml")).unwrap();
+    let nets = root().join("sumo_nets").display().to_string();
+    let text = text
+        .replace("../sumo_nets", &nets)
+        .replace("<vehicle length=\"4.515\"", "<vehicle length=\"500\"");
+    let file = folder.path().join("long.xml");
+    fs::write(&file, text).unwrap();
+    let said = Scenario::check(&file).list;
+    let places: Vec<_> = said.iter().map(|finding| (finding.at, &finding.message)).collect();
+    let count = said.iter().filter(|f| f.message.contains("arrivalPos")).count();
+    assert!(count > 1, "{places:?}");
+    for (k, place) in places.iter().enumerate() {
+        assert!(!places[..k].contains(place), "{place:?}");
+    }
+}
+
 #[test]
 fn a_check_warns_of_what_was_probably_not_meant() {
     let warned = |changes: &[(&str, &str)]| {
