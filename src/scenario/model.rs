@@ -258,6 +258,8 @@ element! {
         /// Share of the progress reward that an agent loses half a lane's width beside its path;
         /// nearer to the path in proportion to the lateral offset. 0 to 1.
         pub lane_keeping: f64,
+        /// What an agent loses in each second on the road, 0 or more.
+        pub time: f64,
         /// Reward of the step in which the agent arrives, in place of all other terms.
         pub arrive: f64,
         /// Reward of the step in which the agent goes off-road, in place of all other terms.

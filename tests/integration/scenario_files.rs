@@ -457,7 +457,7 @@ prop_compose! {
                 signals: counts[2] % 2 == 0,
                 lidar: Lidar { beams: 9 * counts[1], range: 1.0 + f64::from(counts[2] as u32) },
             },
-            reward: Reward { progress: n[0], speed: n[1], lane_keeping: fewer, arrive: n[2], out_of_road: n[3], crash: n[4], red_light: -p[6], cooperation: share,
+            reward: Reward { progress: n[0], speed: n[1], lane_keeping: fewer, time: 0.5, arrive: n[2], out_of_road: n[3], crash: n[4], red_light: -p[6], cooperation: share,
                 share_range: if counts[0] % 2 == 0 { f64::INFINITY } else { p[9] },
             },
             termination: Termination {

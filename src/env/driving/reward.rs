@@ -68,6 +68,7 @@ impl Rewards {
             if slot.ran_red {
                 reward += task.scenario.reward.red_light;
             }
+            reward -= task.scenario.reward.time * task.scenario.control.interval;
             self.own[i] = reward;
             sum += reward;
             if outcome.arrived || outcome.out_of_road || outcome.crashed {

@@ -65,15 +65,15 @@ fn a_check_warns_of_what_was_probably_not_meant() {
         findings(&changed(folder.path(), changes))
     };
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"60\"")]), @r#"
-    site.xml:135:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
+    site.xml:136:18: error: route `north_left` takes 62 steps at the speed limit, but the horizon is 60 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("horizon=\"500\"", "horizon=\"120\"")]), @r#"
-    site.xml:135:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
+    site.xml:136:18: warning: route `north_left` takes 62 steps at the speed limit, but the horizon is 120 steps
       hint: set the horizon to 248 steps or more, because vehicles have to wait
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"500\"")]), @r#"
-    site.xml:140:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+    site.xml:141:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
     "#);
     let heard = |nearest: &str| {
@@ -81,13 +81,13 @@ fn a_check_warns_of_what_was_probably_not_meant() {
     };
     assert_eq!(heard("4"), "", "not everybody can communicate with everybody");
     insta::assert_snapshot!(heard("7"), @r#"
-    site.xml:140:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
+    site.xml:141:20: warning: all agents can communicate with each other: the range is 500 m, and the largest net is 122 m across
       hint: reduce the range if communication should depend on the distance between agents
-    site.xml:140:32: warning: nearest of <communication> has no effect, because there are never more other agents
+    site.xml:141:32: warning: nearest of <communication> has no effect, because there are never more other agents
       hint: delete the attribute, or change the other value
     "#);
     insta::assert_snapshot!(warned(&[("range=\"50\"", "range=\"5\"")]), @r#"
-    site.xml:140:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
+    site.xml:141:20: warning: agents cannot communicate with the next agent in their row: the range is 5 m, the distance 8 m
       hint: increase the range, unless agents should not communicate
     "#);
     insta::assert_snapshot!(warned(&[("detectionRange=\"100\"", "detectionRange=\"6\"")]), @r#"

@@ -81,6 +81,25 @@ fn rewards_depend_neither_on_cooperation_nor_on_the_radio() {
     }
 }
 
+/// With `time`, each step on the road costs the same, driving or standing and in the last step, and
+/// nothing afterwards.
+#[test]
+fn time_on_the_road_costs_the_same_in_every_step() {
+    let (free, paid) = (lone_driver(|_| {}).1, lone_driver(|s| s.reward.time = 0.4).1);
+    assert_eq!(free.len(), paid.len());
+    let mut after = 0;
+    for (step, (free, paid)) in free.iter().zip(&paid).enumerate().skip(1) {
+        for i in 0..4 {
+            let on_road = free.active[i] + free.terminated[i] + free.truncated[i] > 0.0;
+            let cost = if on_road { 0.04 } else { 0.0 };
+            let paid = free.reward[i] - paid.reward[i];
+            assert!((paid - cost).abs() < 1e-5, "step {step}, agent {i}: {paid} {cost}");
+            after += usize::from(!on_road);
+        }
+    }
+    assert!(after > 0, "one arrives before the others");
+}
+
 #[test]
 fn a_crash_replaces_the_reward_of_its_step() {
     let task = task(8, |_| {});
