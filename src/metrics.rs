@@ -162,7 +162,9 @@ metrics! {
             "Share of agents that went off-road.";
         unfinished: Estimate = |d| d.rate(|r| r.unfinished),
             "unfinished", "agents that do not finish (%)", PERCENT, Lower, InEvaluations,
-            "Share of agents that had neither arrived nor failed at the end of the episode.";
+            "Share of agents that had neither arrived nor failed at the end of the episode. Agents \
+             from route files count only once they have been on the road for more than four times \
+             the time of their route at the speed limits.";
         delay: Option<Estimate> = |d| Estimate::t(&d.known(|r| r.delay)),
             "delay", "delay of an agent that arrives (s)", SECONDS, Lower, InTables,
             "Time that an agent that arrives takes longer than it would alone, at full throttle \

@@ -34,8 +34,9 @@ pub struct Iwol {
     #[default = 0.05]
     #[schemars(range(min = 0))]
     pub lambda_interaction: f64,
-    /// Share of a minibatch's samples, chosen at random, from which the decoders learn. All samples
-    /// would cost more than the policy itself, for a mean that a part estimates as well.
+    /// Share of a minibatch's samples, chosen at random, from which the decoders learn. With 1, the
+    /// decoders take more time than the policy. The loss is a mean over samples, which a part
+    /// estimates well.
     #[default = 0.25]
     #[schemars(range(max = 1), extend("exclusiveMinimum" = 0))]
     pub decoded: f64,

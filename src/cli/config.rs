@@ -52,7 +52,7 @@ pub(super) struct SettingsArgs {
     /// agents may differ, except with CommFormer.
     #[arg(long, value_name = "CHECKPOINT")]
     pub(super) init_from: Option<PathBuf>,
-    /// Device on which the networks are computed [default: cpu].
+    /// Device on which the networks are computed [default: the one of the profile: cpu, or cuda where libtorch finds a GPU].
     #[arg(long, value_name = "cpu|cuda")]
     device: Option<String>,
     /// Interface to SUMO, on which results do not depend [default: auto].

@@ -37,7 +37,7 @@ pub(super) struct Train {
     /// Number of runs of each algorithm. Their seeds are 0, 1 and so on
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u16).range(1..=1000))]
     seeds: u16,
-    /// Success in % that a run has reached for good from the first validation on after which no
+    /// Success in %. A run has reached it for good at the first validation from which on no
     /// validation of the run is lower
     #[arg(long, default_value_t = 97.1, value_parser = percentage)]
     success: f64,
