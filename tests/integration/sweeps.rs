@@ -467,6 +467,30 @@ fn the_experiments_that_come_along_load() {
 
 /// Slurm runs every cell, on one machine with Debian's packages (`scripts/bootstrap --tests`
 /// installs them).
+/// A cell that begins with the policy of another cell cannot start before that one is trained.
+#[test]
+fn slurm_gets_the_cells_that_can_begin() {
+    use std::os::unix::fs::PermissionsExt as _;
+    let folder = folder();
+    let sbatch = folder.path().join("sbatch");
+    std::fs::write(&sbatch, "#!/bin/sh\necho 7\n").expect("written");
+    std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).expect("a program");
+    let rule = "[[rule]]\nwhen = { agents = 6 }\nset = { init_from = { agents = 4 } }\n[grid]\nagents = [4, 6]\n";
+    let file = sweep_file(folder.path(), &FILE.replace("[grid]\n", rule));
+    let path = format!("{}:{}", folder.path().display(), std::env::var("PATH").expect("a path"));
+    let out = folder.path().join("runs");
+    let output = succeeds(sweep(&file, &out, &["--slurm"]).env("PATH", path));
+    let said = text(&output.stderr);
+    assert!(said.contains("2 cells left out, because they begin with policies"), "{said}");
+    let jobs = std::fs::read_dir(out.join("tiny/slurm")).expect("a folder");
+    let mut jobs = jobs.map(|entry| entry.expect("an entry").path());
+    let list = jobs.find(|path| path.extension().is_some_and(|end| end == "cells"));
+    let cells = std::fs::read_to_string(list.expect("a list")).expect("text");
+    let mut cells: Vec<&str> = cells.lines().collect();
+    cells.sort_unstable();
+    assert_eq!(cells, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
+}
+
 #[test]
 fn slurm_runs_every_cell() {
     let folder = folder();
