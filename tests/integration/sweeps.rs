@@ -476,7 +476,8 @@ fn slurm_gets_the_cells_that_can_begin() {
     std::fs::write(&sbatch, "#!/bin/sh\necho 7\n").expect("written");
     std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).expect("a program");
     let rule = "[[rule]]\nwhen = { agents = 6 }\nset = { init_from = { agents = 4 } }\n[grid]\nagents = [4, 6]\n";
-    let file = sweep_file(folder.path(), &FILE.replace("[grid]\n", rule));
+    let (cells, _) = FILE.split_once("[[evaluate]]").expect("evaluations");
+    let file = sweep_file(folder.path(), &cells.replace("[grid]\n", rule));
     let path = format!("{}:{}", folder.path().display(), std::env::var("PATH").expect("a path"));
     let out = folder.path().join("runs");
     let output = succeeds(sweep(&file, &out, &["--slurm"]).env("PATH", path));
@@ -488,7 +489,7 @@ fn slurm_gets_the_cells_that_can_begin() {
     let cells = std::fs::read_to_string(list.expect("a list")).expect("text");
     let mut cells: Vec<&str> = cells.lines().collect();
     cells.sort_unstable();
-    assert_eq!(cells, ["mappo_agents=4/seed_0", "mappo_agents=4/seed_1"]);
+    assert_eq!(cells, ["agents=4_mappo/seed_0", "agents=4_mappo/seed_1"]);
 }
 
 #[test]
