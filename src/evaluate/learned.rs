@@ -11,7 +11,7 @@ use super::{Actor, Controller, Knowledge, WORLDS};
 use crate::algo::{
     ActMode, Algorithm, Channel, ChannelNoise, Diagnostics, Observation, store_frames,
 };
-use crate::env::{self, EnvSpec, Worlds};
+use crate::env::{self, EnvSpec, WorldPhase, Worlds};
 use crate::replay::RecordedDiagnostics;
 use crate::rng::{self, Seed};
 use crate::rollout::{Rollout, Sizes};
@@ -94,6 +94,11 @@ impl Actor for LearnedActor<'_> {
             sources[e] = self.seed.index(view.episode).index(u64::from(view.step));
         }
         store_frames(worlds, &mut self.frames, 0);
+        // A world with nothing left to play keeps its last frame, whose agents are gone.
+        for e in (0..worlds.count()).filter(|&e| worlds.view(e).phase == WorldPhase::Idle) {
+            let pairs = self.frames.cell(0, e, self.spec.agents);
+            self.frames.comm[pairs].fill(0.0);
+        }
         let observation = Observation::at(&self.frames, 0, &self.memory);
         let per_agent = |array: &[f32], shape: &[i64]| {
             let shape = [&[WORLDS as i64, self.spec.agents as i64][..], shape].concat();

@@ -12,7 +12,7 @@ use iwol_sumo::rng::{self, Seed};
 use iwol_sumo::train::Trainer;
 use toml::Value;
 
-use crate::support::{folder, iwol, succeeds, text};
+use crate::support::{folder, iwol, root, succeeds, text};
 
 #[path = "../../examples/own_env.rs"]
 #[allow(dead_code)]
@@ -222,6 +222,25 @@ fn episodes_are_recorded_and_played_back() {
 }
 
 /// Reports have the metrics of environments beside those of all tasks, with published values.
+/// With `channel.shuffled`, an episode that is played alone hears nobody: the agents of worlds that
+/// have nothing left to play are gone. Of 17 episodes, 16 are played at the same time.
+#[test]
+fn the_last_episode_hears_nobody_of_earlier_ones() {
+    let folder = folder();
+    let run = root().join("policies/traffic-junction-ex-iwol").display().to_string();
+    let played = |set: &str| {
+        let file = folder.path().join(format!("{set}.json")).display().to_string();
+        let episode = ["--episodes", "17", "--record-episode", "16", "--record", &file];
+        succeeds(iwol(&["evaluate", &run, "--set", set]).args(episode));
+        let text = std::fs::read_to_string(file).expect("a recording");
+        let recording: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        (recording["columns"].clone(), recording["summary"].clone())
+    };
+    let alone = played("channel.shuffled=true");
+    assert_eq!(alone, played("channel.loss=1"));
+    assert_ne!(alone, played("channel.loss=0"));
+}
+
 #[test]
 fn reports_have_the_metrics_of_environments() {
     let folder = folder();
