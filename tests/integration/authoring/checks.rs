@@ -105,7 +105,7 @@ fn a_check_warns_of_what_was_probably_not_meant() {
       hint: speed limits of lanes do not slow agents down; reduce maxSpeed if agents should keep the limit
     "#);
     insta::assert_snapshot!(warned(&[("crash=\"-10\"", "crash=\"10\"")]), @r#"
-    site.xml:128:66: warning: the reward of a crash is not below the reward of an arrival
+    site.xml:129:66: warning: the reward of a crash is not below the reward of an arrival
       hint: scenarios/intersection.xml has weights with which agents learn
     "#);
     insta::assert_snapshot!(warned(&[("route=\"west_straight west_left west_right\"", "route=\"west_straight west_left\"")]), @r#"
