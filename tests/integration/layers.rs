@@ -199,7 +199,7 @@ fn modules_import_only_what_they_may() {
 /// Learners and evaluations work in any environment: they know nothing of vehicles or of SUMO.
 #[test]
 fn learners_know_no_vehicles() {
-    const ANY: [&str; 20] = [
+    const ANY: [&str; 21] = [
         "ActionDimension",
         "ActionSpace",
         "Backdrop",
@@ -215,6 +215,7 @@ fn learners_know_no_vehicles() {
         "OwnMetric",
         "Picture",
         "Stream",
+        "WorldPhase",
         "WorldState",
         "WorldView",
         "Worlds",
