@@ -9,6 +9,7 @@ use clap::builder::{PossibleValuesParser, TypedValueParser};
 use crate::plot::Format;
 use crate::report;
 use crate::sweep::Sweep;
+use crate::words::counted;
 
 use super::{Verdict, program, word};
 
@@ -50,8 +51,17 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         tell!("{}", path.display());
     }
     if let Some(keep) = &args.keep {
+        let mut earlier = 0;
         for cell in &sweep.cells {
-            cell.keep(keep, &sweep.name)?;
+            earlier += usize::from(cell.keep(keep, &sweep.name)?);
+        }
+        if earlier > 0 {
+            say!(
+                "{} in {} are of earlier copies: their runs are not trained in {}",
+                counted(earlier, "cell"),
+                keep.display(),
+                args.runs.display()
+            );
         }
         tell!("{}", keep.join(&sweep.name).display());
     }

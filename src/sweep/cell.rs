@@ -282,12 +282,13 @@ impl Cell {
     }
 
     /// Copies the data of reports, if training is finished, to the same place below another folder
-    /// of run folders: settings, versions, validations and evaluations, without weights. An earlier
-    /// copy is removed, also if there is nothing to copy.
+    /// of run folders: settings, versions, validations and evaluations, without weights. They
+    /// replace an earlier copy. Returns whether there is an earlier copy and nothing to replace it,
+    /// as where another machine trains the cell.
     ///
     /// # Errors
     /// If a file cannot be read, written or removed, or the copy would replace a run with weights.
-    pub fn keep(&self, out: &Path, sweep: &str) -> Result<(), Error> {
+    pub fn keep(&self, out: &Path, sweep: &str) -> Result<bool, Error> {
         let kept = Self { folder: out.join(sweep).join(&self.id), ..self.clone() };
         let itself = std::fs::canonicalize(&kept.folder).ok();
         let itself =
@@ -295,8 +296,8 @@ impl Cell {
         if itself || kept.run().last().exists() || kept.run().best().exists() {
             return Err(Error::Kept { folder: kept.folder });
         }
+        let Some(trained) = self.trained() else { return Ok(kept.folder.exists()) };
         remove_folder(&kept.folder)?;
-        let Some(trained) = self.trained() else { return Ok(()) };
         let evaluations = self.folder.join("evaluations");
         let copies = kept.folder.join("evaluations");
         std::fs::create_dir_all(&copies).map_err(record::Error::io("create", &copies))?;
@@ -320,7 +321,8 @@ impl Cell {
         let validations: Vec<String> = validations.map(|line| format!("{line}\n")).collect();
         write_atomic(&kept.run().metrics(), validations.concat().as_bytes())?;
         let text = serde_json::to_string(&trained).expect("two numbers");
-        Ok(write_atomic(&kept.trained_mark(), text.as_bytes())?)
+        write_atomic(&kept.trained_mark(), text.as_bytes())?;
+        Ok(false)
     }
 
     /// Marks the run as trained, and removes the mark of a failure and the results of evaluations of

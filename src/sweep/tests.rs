@@ -272,27 +272,28 @@ fn runs_that_are_not_finished_have_no_results() {
     assert!(found().is_none());
 }
 
-/// What is kept is what there is now, not what an earlier copy had besides.
+/// What is kept of a trained cell is what there is now, not what an earlier copy had besides. An
+/// earlier copy of a cell that is not trained here stays, and is told.
 #[test]
 fn a_second_copy_replaces_the_first() {
     let folder = tempfile::tempdir().unwrap();
     let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
     let (one, other) = (&sweep.cells[0], &sweep.cells[1]);
     let kept = folder.path().join("kept");
-    let copy = |cell: &Cell| {
-        cell.keep(&kept, "s").unwrap();
+    let copy = |cell: &Cell, is_left: bool| {
+        assert_eq!(cell.keep(&kept, "s").unwrap(), is_left);
         kept.join("s").join(&cell.id)
     };
     for cell in [one, other] {
         write_results(&sweep, cell, None);
         std::fs::write(cell.folder.join("evaluations/.tmp1"), "half").unwrap();
-        assert_eq!(std::fs::read_dir(copy(cell).join("evaluations")).unwrap().count(), 2);
+        assert_eq!(std::fs::read_dir(copy(cell, false).join("evaluations")).unwrap().count(), 2);
     }
     one.mark_trained().unwrap();
     std::fs::create_dir_all(one.folder.join("evaluations")).unwrap();
     std::fs::remove_dir_all(&other.folder).unwrap();
-    assert_eq!(std::fs::read_dir(copy(one).join("evaluations")).unwrap().count(), 0);
-    assert!(!copy(other).exists());
+    assert_eq!(std::fs::read_dir(copy(one, false).join("evaluations")).unwrap().count(), 0);
+    assert!(copy(other, true).exists());
 }
 
 /// A cell that fails again is reported with what its last attempt wrote.
