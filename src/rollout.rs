@@ -47,9 +47,10 @@ pub struct Rollout {
     pub state: Vec<f32>,
     /// Physical mask, `[T + 1, E, N, N]`; the diagonal is 1 for agents that are present.
     pub comm: Vec<f32>,
-    /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
-    /// from 1, or 0, `[T + 1, E, N, N]`; empty where no message is falsified.
-    pub replaced: Vec<f32>,
+    /// What becomes of the message from agent `j` to agent `i`: -1 if it is lost, the number of the
+    /// false message that replaces it, counted from 1, or 0, `[T + 1, E, N, N]`; empty where the
+    /// policy [has no radio](crate::algo::Algorithm::has_radio).
+    pub disturbance: Vec<f32>,
     /// 1 where a choice is open, else 0, `[T + 1, E, N, K]`; empty where actions are continuous.
     pub available: Vec<f32>,
     /// 1 where an agent acts, else 0, `[T + 1, E, N]`.
@@ -99,7 +100,7 @@ impl Rollout {
             observation: vec![0.0; closed * sizes.observation],
             state: vec![0.0; closed * sizes.state],
             comm: vec![0.0; closed * sizes.agents],
-            replaced: Vec::new(),
+            disturbance: Vec::new(),
             available: vec![0.0; closed * sizes.choices],
             active: vec![0.0; closed],
             start: vec![0.0; closed],

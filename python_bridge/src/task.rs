@@ -37,7 +37,8 @@ impl NativeTask {
         let mut edits = Vec::new();
         for (name, value) in &overrides {
             let parts: Vec<&str> = name.split('.').collect();
-            let Some((attribute, _)) = known.iter().find(|(known, _)| known.path == parts) else {
+            let Some((attribute, present)) = known.iter().find(|(known, _)| known.path == parts)
+            else {
                 let names: Vec<String> =
                     known.iter().map(|(known, _)| known.path.join(".")).collect();
                 let near = nearest(name, names.iter().map(String::as_str));
@@ -45,7 +46,10 @@ impl NativeTask {
                 let text = format!("the scenario has no setting `{name}`{near}");
                 return Err(exception(py, "ScenarioError", text));
             };
-            let Some(value) = value else { continue };
+            // What the scenario has already stays as it is, so that all settings can be given back.
+            let Some(value) = value.as_ref().filter(|value| present.as_ref() != Some(value)) else {
+                continue;
+            };
             if let Some(refusal) = attribute.refusal(value) {
                 return Err(exception(py, "ScenarioError", format!("{name}: {refusal}")));
             }

@@ -252,6 +252,10 @@ def test_settings_may_be_none_or_of_numpy():
     nothing = {name: value for name, (value, _) in settings.items() if value is None}
     given = iwol_sumo.parallel_env("intersection", overrides={**nothing, "control.drag": None})
     assert nothing and given.features == iwol_sumo.parallel_env("intersection").features
+    # All settings can be given back.
+    for name in ("intersection", "parking_lot", "blind_crossing"):
+        present = {key: value for key, (value, _) in iwol_sumo.settings(name).items()}
+        assert iwol_sumo.parallel_env(name, overrides=present).features == iwol_sumo.parallel_env(name).features
     for heading in (True, False):
         overrides = [{"observation.heading": kind(heading)} for kind in (bool, np.bool_)]
         envs = [iwol_sumo.parallel_env("intersection", overrides=each) for each in overrides]

@@ -59,6 +59,14 @@ def test_mistakes_are_exceptions(tmp_path):
         (lambda: scenario.check("intersecton"), "did you mean 'intersection'"),
         (lambda: scenario.check("intersection", 400), "4 to 48"),
         (lambda: scenario.show("intersection", format="png"), "allowed: 'svg', 'html'"),
+        (lambda: scenario.new("mine", "cross", lanes=-1, root=tmp_path), "^lanes is -1; allowed: whole numbers"),
+        (lambda: scenario.new("mine", "cross", agents=2**40, root=tmp_path), "^agents is 1099511627776; allowed"),
+        (lambda: scenario.import_osm(poor, "mine", agents=-1, root=tmp_path), "^agents is -1; allowed"),
+        (lambda: scenario.import_net(net, "mine", agents=2.5, root=tmp_path), "^agents is 2.5; allowed"),
+        (lambda: scenario.import_sumocfg(poor, "mine", agents=-1, root=tmp_path), "^agents is -1; allowed"),
+        (lambda: scenario.check("intersection", steps=-1), "^steps is -1; allowed"),
+        (lambda: scenario.check("intersection", seed=-1), "^seed is -1; allowed"),
+        (lambda: scenario.show("intersection", agents=-1), "^agents is -1; allowed"),
     ]:
         with pytest.raises(iwol_sumo.ScenarioError, match=message):
             call()

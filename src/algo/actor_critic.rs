@@ -333,6 +333,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         self.networks().message_width() as usize
     }
 
+    fn has_radio(&self) -> bool {
+        self.networks().radio().is_some()
+    }
+
     fn act_through(
         &self,
         input: &Observation,

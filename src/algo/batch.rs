@@ -20,8 +20,9 @@ pub struct Batch {
     pub state: Tensor,
     /// Physical masks, `[(T + 1) · E, N, N]`.
     pub comm: Tensor,
-    /// The numbers of false messages, or 0, `[(T + 1) · E, N, N]`; empty where none is falsified.
-    pub replaced: Tensor,
+    /// -1 where a message is lost, the numbers of false messages, or 0, `[(T + 1) · E, N, N]`; empty
+    /// where the policy has no radio.
+    pub disturbance: Tensor,
     /// 1 where a choice is open, `[(T + 1) · E, N, K]`; empty where actions are continuous.
     pub available: Tensor,
     /// 1 where an agent acts, `[T · E, N]`.
@@ -79,7 +80,7 @@ impl Batch {
             observation: tensor(&rollout.observation, &[closed, n, s.observation as i64]),
             state: tensor(&rollout.state, &[closed, n, s.state as i64]),
             comm: tensor(&rollout.comm, &[closed, n, n]),
-            replaced: tensor(&rollout.replaced, &[-1, n, n]),
+            disturbance: tensor(&rollout.disturbance, &[-1, n, n]),
             available: tensor(&rollout.available, &[-1, n, s.choices.max(1) as i64]),
             active: tensor(&rollout.active[..s.steps * s.envs * s.agents], &[rows, n]),
             keep: start.ones_like() - start,
@@ -161,7 +162,7 @@ impl Batch {
             observation: change(&self.observation),
             state: change(&self.state),
             comm: change(&self.comm),
-            replaced: change(&self.replaced),
+            disturbance: change(&self.disturbance),
             available: change(&self.available),
             active: change(&self.active),
             keep: change(&self.keep),

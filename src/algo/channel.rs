@@ -6,7 +6,6 @@
 //! the embeddings that arrived at it, with its own embedding intact. With several rounds it does so
 //! for all rounds, because agents send only once per decision.
 
-use rand::RngExt as _;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use smart_default::SmartDefault;
@@ -14,7 +13,6 @@ use tch::{Device, Kind, Tensor};
 
 use super::decision::Observation;
 use super::encoder::{Encoder, EncoderKind, encode_rows};
-use crate::rng::Rng;
 
 /// Disturbances of messages between agents, in training and in evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema, SmartDefault)]
@@ -26,7 +24,8 @@ pub struct Channel {
     #[default = 32]
     #[schemars(range(min = 2, max = 32))]
     pub bits: u32,
-    /// Probability that a message is lost, independent for each receiver and step.
+    /// Probability that a message is lost, independent for each receiver and step. A receiver does
+    /// not learn over a third agent what was in a message that it lost.
     #[schemars(range(min = 0, max = 1))]
     pub loss: f64,
     /// Delay of messages in steps. No message arrives in an agent's first `delay` steps. Training
@@ -74,18 +73,6 @@ impl Channel {
     pub fn message_bits(&self, width: usize) -> f64 {
         let scale = if self.bits < 32 && width > 0 { 32.0 } else { 0.0 };
         f64::from(self.bits) * width as f64 + scale
-    }
-
-    /// Cuts the messages that are lost from physical masks `comm [E, N, N]`, for training. Agents
-    /// always hear themselves.
-    pub(crate) fn cut(&self, comm: &mut [f32], agents: usize, rng: &mut Rng) {
-        for (pair, edge) in comm.iter_mut().enumerate() {
-            let own = pair / agents % agents == pair % agents;
-            let lost = f64::from(rng.random::<f32>()) < self.loss;
-            if lost && !own {
-                *edge = 0.0;
-            }
-        }
     }
 
     /// Returns how many numbers an agent remembers for messages of this width.
@@ -404,18 +391,6 @@ mod tests {
             &alone,
         );
         assert_eq!(numbers(&silent), [1.0; 3]);
-    }
-
-    #[test]
-    fn training_loses_as_many_messages_as_it_should_and_never_ones_own() {
-        let channel = Channel { loss: 0.3, ..Channel::default() };
-        let mut rng = crate::rng::Seed::new(4).rng();
-        let mut comm = vec![1.0_f32; 1000 * 9];
-        channel.cut(&mut comm, 3, &mut rng);
-        let own = |pair: &usize| pair / 3 % 3 == pair % 3;
-        assert!((0..comm.len()).filter(own).all(|pair| comm[pair] == 1.0));
-        let kept: f32 = (0..comm.len()).filter(|pair| !own(pair)).map(|pair| comm[pair]).sum();
-        assert!((kept / 6000.0 - 0.7).abs() < 0.03, "{kept} of 6000");
     }
 
     #[test]

@@ -17,9 +17,10 @@ pub struct Observation {
     pub start: Tensor,
     /// Memory of the policy after the last decision, `[E, N, M]`.
     pub memory: Tensor,
-    /// The number of the false message that replaces what agent `i` hears from agent `j`, counted
-    /// from 1, or 0, `[E, N, N]`; empty unless messages are falsified in training.
-    pub replaced: Tensor,
+    /// What becomes of the message from agent `j` to agent `i` in training: -1 if it is lost, the
+    /// number of the false message that replaces it, counted from 1, or 0, `[E, N, N]`; empty where
+    /// the policy [has no radio](super::Algorithm::has_radio).
+    pub disturbance: Tensor,
     /// 1 where a choice is open, `[E, N, K]`; empty where actions are continuous.
     pub available: Tensor,
 }
@@ -41,7 +42,7 @@ impl Observation {
             comm: part(&rollout.comm, s.agents),
             start: part(&rollout.start, 1).squeeze_dim(-1),
             memory: memory.shallow_clone(),
-            replaced: some(&rollout.replaced, s.agents),
+            disturbance: some(&rollout.disturbance, s.agents),
             available: some(&rollout.available, s.choices),
         }
     }
@@ -78,7 +79,7 @@ impl Observation {
             comm: change(&self.comm),
             start: change(&self.start),
             memory: change(&self.memory),
-            replaced: change(&self.replaced),
+            disturbance: change(&self.disturbance),
             available: change(&self.available),
         }
     }

@@ -57,7 +57,8 @@ impl Networks for ExIwol {
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, iwol) = (&settings.network, &settings.iwol);
         let (hidden, message) = (network.hidden, iwol.message);
-        let radio = Radio::new(settings, spec.observation.len(), hidden, builder.device());
+        let features = spec.observation.len();
+        let radio = Radio::new(settings, features, hidden, iwol.rounds, builder.device());
         // What passes through the radio of training is different for each pair of agents.
         let most = most_listed(spec).filter(|_| radio.is_none());
         Self {

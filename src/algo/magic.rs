@@ -167,7 +167,7 @@ impl Networks for Magic {
             world: WorldDecoder::of_actor(builder, spec, settings, hidden, lambda),
             critic: PrivilegedCritic::new(builder.of(CRITIC), spec, network),
             hidden,
-            radio: Radio::new(settings, spec.observation.len(), hidden, builder.device()),
+            radio: Radio::new(settings, spec.observation.len(), hidden, 2, builder.device()),
         }
     }
 

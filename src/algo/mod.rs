@@ -316,6 +316,12 @@ pub trait Algorithm: Send {
     /// messages.
     fn message_width(&self) -> usize;
 
+    /// Whether explored decisions and updates read what the channel does to each message
+    /// ([`Observation::disturbance`]). Otherwise lost messages are cut from the physical masks.
+    fn has_radio(&self) -> bool {
+        false
+    }
+
     /// Chooses deterministic actions where messages pass through `channel`. The memory in the
     /// observation and in the decision is [`Channel::memory`] numbers wider than
     /// [`Algorithm::memory`]. Methods without messages choose the same actions as in

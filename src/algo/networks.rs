@@ -68,8 +68,8 @@ pub trait Networks: Sized + Send {
         0
     }
 
-    /// Returns what rounding, delay and false messages do in training; `None` where messages are at
-    /// most lost, and for methods without messages.
+    /// Returns the radio of training; `None` where cutting lost messages from the physical masks
+    /// does the same, and for methods without messages.
     fn radio(&self) -> Option<&Radio> {
         None
     }

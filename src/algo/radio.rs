@@ -1,11 +1,15 @@
-//! The channel in training: what rounding, delay and false messages do to the embeddings that
-//! agents send, with gradients to their senders.
+//! The channel in training: what losses, rounding, delay and false messages do to the embeddings
+//! that agents send, with gradients to their senders.
 //!
-//! A rollout keeps what the update needs to hear the same again: per pair of agents the number of
-//! the false message that replaced the true one, and in the agents' memory the observations of the
-//! steps for which messages are under way. The update embeds such an old observation with the
-//! present weights. Lost messages are cut from the rollout's physical masks, for which no method
-//! needs this file.
+//! A rollout keeps what the update needs to hear the same again: per pair of agents whether the
+//! message was lost or which false message replaced it, and in the agents' memory the observations
+//! of the steps for which messages are under way. The update embeds such an old observation with the
+//! present weights.
+//!
+//! Here each receiver computes its message from what it heard, so that a lost message does not reach
+//! it over a third agent. Where messages are at most lost and no agent passes on what it heard, this
+//! is the same as to cut lost messages from the rollout's physical masks, which is faster: such
+//! methods have no radio.
 
 use rand::RngExt as _;
 use tch::{Device, Kind, Tensor, no_grad};
@@ -33,21 +37,24 @@ pub struct Radio {
 }
 
 impl Radio {
-    /// Returns the radio of a training whose messages have `width` numbers and whose observations
-    /// have `observation` numbers; `None` where messages are at most lost.
+    /// Returns the radio of a training whose messages have `width` numbers and pass over `rounds`
+    /// rounds, and whose observations have `observation` numbers; `None` where a mask does the same.
     pub(super) fn new(
         settings: &Settings,
         observation: usize,
         width: i64,
+        rounds: usize,
         device: Device,
     ) -> Option<Self> {
         let channel = settings.channel;
+        let passed_on = rounds > 1 && channel.loss > 0.0;
         let rows = if channel.falsified > 0.0 { FALSE_MESSAGES } else { 0 };
         let mut contents = vec![0.0; rows * width as usize];
         rng::fill_normal(&mut Seed::new(0).child("false messages").rng(), &mut contents);
         let contents = Tensor::from_slice(&contents).view([rows as i64, width]).to_device(device);
         let observation = observation as i64;
-        (!channel.only_loses()).then_some(Self { channel, contents, observation })
+        let is_mask = channel.only_loses() && !passed_on;
+        (!is_mask).then_some(Self { channel, contents, observation })
     }
 
     /// Returns how many numbers an agent remembers for the messages that are under way: its steps
@@ -112,13 +119,16 @@ impl Radio {
         let (sent, silent) = self.sent(encoder, scene, f);
         // The gradient of rounding is that of its argument.
         let sent = no_grad(|| self.channel.rounded(&sent)) + (&sent - sent.detach());
-        let replaced = scene.replaced.as_ref().map(|number| {
+        let numbers = scene.disturbance.as_ref();
+        let arrived = numbers
+            .map_or_else(|| scene.comm.ones_like(), |number| number.ge(0.0).to_kind(Kind::Float));
+        let falsified = numbers.filter(|_| self.channel.falsified > 0.0).map(|number| {
             let (rows, agents, _) = number.size3().expect("numbers of messages are [rows, N, N]");
             let index = (number - 1.0).clamp_min(0.0).to_kind(Kind::Int64).reshape([-1]);
             let content = self.contents.index_select(0, &index);
             (number.gt(0.0), content.view([rows, agents, agents, -1]))
         });
-        Heard::of(f, &sent, &silent, &scene.comm.ones_like(), replaced.as_ref())
+        Heard::of(f, &sent, &silent, &arrived, falsified.as_ref())
     }
 
     /// Returns the embeddings that arrive, `[rows, N, H]`, and whether those of a sender do not
@@ -136,14 +146,39 @@ impl Radio {
 }
 
 impl Channel {
-    /// Draws which messages are replaced by false ones, for training: the number of the false
-    /// message, counted from 1, or 0, in `replaced [E, N, N]`.
-    pub(crate) fn falsify(&self, replaced: &mut [f32], rng: &mut Rng) {
-        for number in replaced {
-            let is_false = f64::from(rng.random::<f32>()) < self.falsified;
-            let which = rng.random_range(0..FALSE_MESSAGES) + 1;
-            *number = if is_false { which as f32 } else { 0.0 };
+    /// Draws what becomes of the messages that `agents` agents of each environment send each other,
+    /// for training: -1 for one that is lost, the number of the false message, counted from 1, for
+    /// one that is replaced, or 0, in `disturbance [E, N, N]`. Agents always hear themselves.
+    pub(crate) fn disturb(&self, disturbance: &mut [f32], agents: usize, seed: &Seed) {
+        let (mut lost, mut falsified) = (seed.child("lost").rng(), seed.child("false").rng());
+        for (pair, number) in disturbance.iter_mut().enumerate() {
+            let is_lost = self.loses(pair, agents, &mut lost);
+            let is_false = f64::from(falsified.random::<f32>()) < self.falsified;
+            let which = falsified.random_range(0..FALSE_MESSAGES) + 1;
+            *number = match (is_lost, is_false) {
+                (true, _) => -1.0,
+                (false, true) => which as f32,
+                (false, false) => 0.0,
+            };
         }
+    }
+
+    /// Cuts the messages that are lost from physical masks `comm [E, N, N]`, for training without a
+    /// radio.
+    pub(crate) fn cut(&self, comm: &mut [f32], agents: usize, seed: &Seed) {
+        let mut rng = seed.child("lost").rng();
+        for (pair, edge) in comm.iter_mut().enumerate() {
+            if self.loses(pair, agents, &mut rng) {
+                *edge = 0.0;
+            }
+        }
+    }
+
+    /// Draws whether a message is lost between a pair of agents, counted along `[E, N, N]`.
+    fn loses(&self, pair: usize, agents: usize, rng: &mut Rng) -> bool {
+        let own = pair / agents % agents == pair % agents;
+        let lost = f64::from(rng.random::<f32>()) < self.loss;
+        lost && !own
     }
 }
 
@@ -163,19 +198,19 @@ mod tests {
         let channel = Channel { bits: 6, falsified: 0.5, ..Channel::default() };
         let mut settings = Settings { channel, ..Settings::default() };
         settings.network.hidden = H;
-        let radio = Radio::new(&settings, 0, H, Device::Cpu).expect("it changes messages");
+        let radio = Radio::new(&settings, 0, H, 1, Device::Cpu).expect("it changes messages");
         let (mut params, features) = (Params::new(Device::Cpu), Features::default());
         let encoder =
             Encoder::new(params.root(&mut Seed::new(1).rng()), &features, &settings.network);
-        let replaced = Tensor::zeros([1, N, N], CPU);
+        let disturbance = Tensor::zeros([1, N, N], CPU);
         // What the first agent hears from the third is false.
-        let _ = replaced.get(0).get(0).get(2).fill_(7.0);
+        let _ = disturbance.get(0).get(0).get(2).fill_(7.0);
         let scene = Scene {
             observation: Tensor::zeros([1, N, 0], CPU),
             memory: Tensor::zeros([1, N, 0], CPU),
             keep: Tensor::ones([1, N], CPU),
             comm: Tensor::ones([1, N, N], CPU),
-            replaced: Some(replaced),
+            disturbance: Some(disturbance),
             noise: None,
             length: 1,
             pack: false,
@@ -197,12 +232,26 @@ mod tests {
     }
 
     #[test]
-    fn as_many_messages_are_false_as_should_be() {
-        let channel = Channel { falsified: 0.3, ..Channel::default() };
-        let mut replaced = vec![0.0; 10_000];
-        channel.falsify(&mut replaced, &mut Seed::new(4).rng());
-        let count = replaced.iter().filter(|&&number| number > 0.0).count();
-        assert!((count as f64 / 10_000.0 - 0.3).abs() < 0.02, "{count}");
-        assert!(replaced.iter().all(|&number| number <= FALSE_MESSAGES as f32));
+    fn as_many_messages_are_lost_and_false_as_should_be() {
+        let channel = Channel { loss: 0.3, falsified: 0.5, ..Channel::default() };
+        let mut disturbance = vec![7.0; 9 * 2000];
+        channel.disturb(&mut disturbance, 3, &Seed::new(4));
+        let own = |pair: usize| pair / 3 % 3 == pair % 3;
+        let share = |is: fn(f32) -> bool| {
+            let others = (0..disturbance.len()).filter(|&pair| !own(pair));
+            others.filter(|&pair| is(disturbance[pair])).count() as f64 / 12_000.0
+        };
+        assert!((share(|number| number == -1.0) - 0.3).abs() < 0.02);
+        assert!((share(|number| number > 0.0) - 0.35).abs() < 0.02);
+        assert!(disturbance.iter().all(|&number| number <= FALSE_MESSAGES as f32));
+        assert!(
+            (0..disturbance.len()).filter(|&pair| own(pair)).all(|pair| disturbance[pair] >= 0.0)
+        );
+        // Without a radio, the same messages are lost.
+        let mut comm = vec![1.0; disturbance.len()];
+        channel.cut(&mut comm, 3, &Seed::new(4));
+        for (edge, number) in comm.iter().zip(&disturbance) {
+            assert_eq!(*edge == 0.0, *number < 0.0);
+        }
     }
 }

@@ -17,9 +17,9 @@ pub(super) struct Scene {
     pub(super) keep: Tensor,
     /// Physical masks, `[L · C, N, N]`.
     pub(super) comm: Tensor,
-    /// The number of the false message that each agent hears from another, counted from 1, or 0,
-    /// `[L · C, N, N]`; see `radio.rs`.
-    pub(super) replaced: Option<Tensor>,
+    /// What becomes of the message that each agent hears from another: -1 if it is lost, the number
+    /// of the false message that replaces it, counted from 1, or 0, `[L · C, N, N]`; see `radio.rs`.
+    pub(super) disturbance: Option<Tensor>,
     /// Noise of the communication graphs, `[L · C, N, G · N]`, or `[L · C, N, K]` where graphs are
     /// lists of K neighbours; without it, graphs are the most likely ones.
     pub(super) noise: Option<Tensor>,
@@ -71,7 +71,7 @@ impl Scene {
             memory: input.memory.shallow_clone(),
             keep: input.keep(),
             comm: input.comm.shallow_clone(),
-            replaced: some(&input.replaced).map(Tensor::shallow_clone),
+            disturbance: some(&input.disturbance).map(Tensor::shallow_clone),
             noise: noise.map(Tensor::shallow_clone),
             length: 1,
             pack: false,
@@ -86,7 +86,7 @@ impl Scene {
             memory: memory.index_select(0, &shard.first),
             keep: shard.take(&batch.keep),
             comm: shard.take(&batch.comm),
-            replaced: some(&batch.replaced).map(|numbers| shard.take(numbers)),
+            disturbance: some(&batch.disturbance).map(|numbers| shard.take(numbers)),
             noise: some(noise).map(|noise| shard.take(noise)),
             length: shard.length,
             pack: true,
@@ -101,7 +101,7 @@ impl Scene {
             memory: memory.shallow_clone(),
             keep: batch.keep.shallow_clone(),
             comm: batch.comm.shallow_clone(),
-            replaced: some(&batch.replaced).map(Tensor::shallow_clone),
+            disturbance: some(&batch.disturbance).map(Tensor::shallow_clone),
             noise: some(noise).map(Tensor::shallow_clone),
             length,
             pack: true,
@@ -160,7 +160,7 @@ impl Scene {
             },
             keep: cut(&self.keep),
             comm: cut(&self.comm),
-            replaced: self.replaced.as_ref().map(cut),
+            disturbance: self.disturbance.as_ref().map(cut),
             noise: self.noise.as_ref().map(cut),
             ..*self
         }

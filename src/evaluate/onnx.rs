@@ -351,7 +351,7 @@ mod tests {
                     comm: comm.shallow_clone(),
                     start: Tensor::zeros(&size(0)[..2], (tch::Kind::Float, Device::Cpu)),
                     memory: Tensor::zeros(size(0), (tch::Kind::Float, Device::Cpu)),
-                    replaced: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
+                    disturbance: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
                     available: Tensor::zeros([0], (tch::Kind::Float, Device::Cpu)),
                 };
                 let wanted = learner.act(&input, &ActMode::Deterministic).action;

@@ -242,6 +242,17 @@ pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Bloc
             series[line].1.entry(category).or_default().runs.push((cell, found));
         }
     }
+    let labels = || series.iter().map(|(line, _)| line.label.as_str());
+    let unknown = |reference: &&Reference| {
+        !reference.beside.is_empty() && !labels().any(|label| label == reference.beside)
+    };
+    if let Some(reference) = references_of(sweep, evaluate).find(unknown) {
+        return Err(Error::Beside {
+            reference: reference.label.clone(),
+            beside: reference.beside.clone(),
+            series: labels().map(str::to_owned).collect(),
+        });
+    }
     let used = |k: &usize| series.iter().any(|(_, rows)| rows.contains_key(k));
     let used: Vec<usize> = (0..categories.len()).filter(used).collect();
     let categories = used.iter().map(|&k| categories[k].clone()).collect();
@@ -259,6 +270,16 @@ fn position(known: &mut Vec<String>, value: String) -> usize {
     })
 }
 
+/// Returns the published values that belong to an evaluation.
+fn references_of<'a>(
+    sweep: &'a Sweep,
+    evaluate: &'a Evaluate,
+) -> impl Iterator<Item = &'a Reference> {
+    let first = sweep.evaluations.first().map(|e| e.name.as_str());
+    let own = move |r: &&Reference| r.evaluate.as_deref().or(first) == Some(&evaluate.name[..]);
+    sweep.references.iter().filter(own)
+}
+
 /// Returns the published values for this evaluation and metric, as
 /// `(reference, [(category, value)])`.
 pub(super) fn references<'a>(
@@ -266,29 +287,20 @@ pub(super) fn references<'a>(
     block: &'a Block<'_>,
     metric: &'a Metric,
 ) -> impl Iterator<Item = (&'a Reference, Vec<(usize, f64)>)> {
-    let first = sweep.evaluations.first().map(|e| e.name.as_str());
-    let name = block.evaluate.name.as_str();
-    sweep
-        .references
-        .iter()
-        .filter(move |r| r.metric == metric.id && r.evaluate.as_deref().or(first) == Some(name))
-        .map(move |r| {
-            let number = |value: &Value| plain(value).parse::<f64>().ok();
-            let place = |x: &Value| {
-                let same = |c: &String| {
-                    *c == plain(x) || number(x).is_some_and(|x| c.parse::<f64>() == Ok(x))
-                };
-                block.categories.iter().position(same)
-            };
-            if r.x.is_empty() && block.categories.len() == 1 {
-                return (r, r.y.iter().take(1).map(|y| (0, y * metric.scale.factor)).collect());
-            }
-            let points =
-                r.x.iter()
-                    .zip(&r.y)
-                    .filter_map(|(x, y)| Some((place(x)?, y * metric.scale.factor)));
-            (r, points.collect())
-        })
+    references_of(sweep, block.evaluate).filter(move |r| r.metric == metric.id).map(move |r| {
+        let number = |value: &Value| plain(value).parse::<f64>().ok();
+        let place = |x: &Value| {
+            let same =
+                |c: &String| *c == plain(x) || number(x).is_some_and(|x| c.parse::<f64>() == Ok(x));
+            block.categories.iter().position(same)
+        };
+        if r.x.is_empty() && block.categories.len() == 1 {
+            return (r, r.y.iter().take(1).map(|y| (0, y * metric.scale.factor)).collect());
+        }
+        let points =
+            r.x.iter().zip(&r.y).filter_map(|(x, y)| Some((place(x)?, y * metric.scale.factor)));
+        (r, points.collect())
+    })
 }
 
 /// Returns the seeds' scores per category: the strata of the bootstrap.

@@ -164,6 +164,16 @@ pub enum Error {
         /// The key.
         key: String,
     },
+    /// Published values stand beside a series that the evaluation does not have.
+    #[error("[[reference]] `{reference}`: beside = \"{beside}\" must be one of {}", quoted(series))]
+    Beside {
+        /// The label of the published values.
+        reference: String,
+        /// The name of the series.
+        beside: String,
+        /// The labels of the evaluation's series.
+        series: Vec<String>,
+    },
     /// A file cannot be read or written.
     #[error(transparent)]
     Record(#[from] record::Error),
@@ -173,4 +183,9 @@ pub enum Error {
     /// The sweep is not valid.
     #[error(transparent)]
     Sweep(#[from] sweep::Error),
+}
+
+/// Returns names in quotation marks, separated by commas.
+fn quoted(names: &[String]) -> String {
+    format!("`{}`", names.join("`, `"))
 }

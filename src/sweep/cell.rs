@@ -197,7 +197,8 @@ impl Cell {
     /// Settings that do not change results may differ.
     ///
     /// # Errors
-    /// [`Error::Changed`] for other settings, [`Error::Scenario`] for a changed scenario.
+    /// [`Error::Changed`] for other settings, [`Error::Scenario`] for a changed scenario,
+    /// [`Error::Follows`] if the policy that the run began with has been trained anew.
     pub fn check(&self) -> Result<(), Error> {
         let begun = self.run().last().exists() || self.trained().is_some();
         if !begun {
@@ -235,11 +236,17 @@ impl Cell {
                 path: self.config.scenario.file.clone(),
             });
         }
-        match config::flat_changes(&was, &is).into_iter().next() {
-            None => Ok(()),
-            Some(config::Change { key, was, is }) => {
-                Err(Error::Changed { folder: self.folder.clone(), key, was, is })
+        if let Some(config::Change { key, was, is }) =
+            config::flat_changes(&was, &is).into_iter().next()
+        {
+            return Err(Error::Changed { folder: self.folder.clone(), key, was, is });
+        }
+        let policies = self.run().began_with().zip(RunDir::hash(&self.config.init_from));
+        match (&self.after, policies) {
+            (Some(after), Some((was, is))) if was != is => {
+                Err(Error::Follows { folder: self.folder.clone(), after: after.clone() })
             }
+            _ => Ok(()),
         }
     }
 

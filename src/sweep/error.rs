@@ -55,6 +55,17 @@ pub enum Error {
         /// The scenario's file.
         path: PathBuf,
     },
+    /// A cell's folder contains a run that began with an earlier policy of another cell.
+    #[error(
+        "`{}` began with an earlier policy of the cell {after}, which has been trained anew since; move the run to another folder, or delete it to train it again",
+        folder.display()
+    )]
+    Follows {
+        /// The cell's folder.
+        folder: PathBuf,
+        /// The other cell.
+        after: String,
+    },
     /// The data of a report would replace a run that has its weights.
     #[error("`{}` contains a run with its weights; choose another folder for the data of reports", folder.display())]
     Kept {

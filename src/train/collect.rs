@@ -146,8 +146,8 @@ impl Collector {
     }
 }
 
-/// Cuts the messages that the channel loses from row `t` of the rollout's physical masks, so that
-/// policy, value function and update all see who heard whom, and draws which ones are false.
+/// Draws what the channel does to the messages of decision `t`: what becomes of each message, for a
+/// policy with a radio, or else which ones are cut from the physical masks.
 fn disturb_messages(
     channel: Channel,
     policy: &dyn Algorithm,
@@ -159,14 +159,12 @@ fn disturb_messages(
         return;
     }
     let row = rollout.at(t, rollout.sizes.agents);
-    let rng = |what: &str| seed.child(what).index(t as u64).rng();
-    if channel.loss > 0.0 {
-        let comm = &mut rollout.comm[row.clone()];
-        channel.cut(comm, rollout.sizes.agents, &mut rng("lost"));
-    }
-    if channel.falsified > 0.0 {
-        rollout.replaced.resize(rollout.comm.len(), 0.0);
-        channel.falsify(&mut rollout.replaced[row], &mut rng("false"));
+    let (agents, seed) = (rollout.sizes.agents, seed.child("channel").index(t as u64));
+    if policy.has_radio() {
+        rollout.disturbance.resize(rollout.comm.len(), 0.0);
+        channel.disturb(&mut rollout.disturbance[row], agents, &seed);
+    } else if channel.loss > 0.0 {
+        channel.cut(&mut rollout.comm[row], agents, &seed);
     }
 }
 
@@ -349,25 +347,32 @@ mod tests {
         assert_eq!(heard("im-iwol", 1.0).1, heard("im-iwol", 0.0).1);
     }
 
-    /// In a training with false messages, rollouts say which ones they are.
+    /// In the training of a policy with a radio, rollouts say which messages are lost or false.
     #[test]
-    fn false_messages_are_drawn_in_training() {
+    fn rollouts_tell_what_becomes_of_messages() {
         let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
-        let replaced = |algorithm: &str| {
+        let share = |algorithm: &str, channel: &[&str], which: fn(f32) -> bool| {
             let flags = [("scenario", scenario), ("algorithm", algorithm)];
             let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
-            let sets = vec!["channel.falsified=0.3".to_owned(), "channel.delay=1".to_owned()];
+            let sets = channel.iter().map(|&set| set.to_owned()).collect();
             let layers = Layers { sets, flags, ..Layers::default() };
             let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
             (config.train.envs, config.train.rollout_steps) = (2, 8);
             let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
             trainer.collect(Seed::new(1)).expect("SUMO runs");
             trainer.iterate().expect("an update");
-            let numbers = trainer.rollout.replaced;
-            numbers.iter().filter(|number| **number > 0.0).count() as f64 / numbers.len() as f64
+            let numbers = trainer.rollout.disturbance;
+            numbers.iter().filter(|number| which(**number)).count() as f64 / numbers.len() as f64
         };
-        assert!((replaced("magic") - 0.3).abs() < 0.05);
-        assert!(replaced("im-iwol").is_nan(), "nobody talks");
+        let falsified = ["channel.falsified=0.3", "channel.delay=1"];
+        assert!((share("magic", &falsified, |number| number > 0.0) - 0.3).abs() < 0.05);
+        assert!(share("im-iwol", &falsified, |number| number > 0.0).is_nan(), "nobody talks");
+        // MAGIC has two rounds, so that a mask could not keep lost messages from coming by others.
+        // An agent's message to itself, one of eight, is never lost.
+        let lost = share("magic", &["channel.loss=0.4"], |number| number == -1.0);
+        assert!((lost - 0.4 * 7.0 / 8.0).abs() < 0.05, "{lost}");
+        let mask = share("ex-iwol", &["channel.loss=0.4"], |number| number == -1.0);
+        assert!(mask.is_nan(), "with one round, a mask is enough");
     }
 
     /// The end of a rollout is valued over the same graph as its steps.

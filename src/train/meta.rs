@@ -9,6 +9,7 @@ use serde_json::{Map, Value};
 use super::RunDir;
 use crate::checkpoint::Progress;
 use crate::config::Config;
+use crate::fnv::Fnv;
 use crate::provenance::{Host, Program, Training};
 use crate::record;
 
@@ -18,6 +19,9 @@ struct Meta<'a> {
     training: Training,
     command: Vec<String>,
     scenario: &'a str,
+    /// Hash of the policy whose weights the run began with.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    init_from: Option<String>,
     started_unix_s: u64,
     updated_unix_s: u64,
     host: Host,
@@ -58,6 +62,10 @@ impl RunDir {
             training: Training { program, earlier },
             command: command(),
             scenario: fingerprint,
+            init_from: match &before {
+                Some(meta) => meta["init_from"].as_str().map(str::to_owned),
+                None => Self::hash(&config.init_from),
+            },
             started_unix_s: before.and_then(|meta| meta["started_unix_s"].as_u64()).unwrap_or(now),
             updated_unix_s: now,
             host: Host::current(),
@@ -82,6 +90,20 @@ impl RunDir {
         .collect();
         meta.extend(news);
         self.write_meta(&Value::Object(meta))
+    }
+
+    /// Returns the hash of the policy whose weights the run began with; `None` if it began with new
+    /// ones, and for older runs.
+    pub fn began_with(&self) -> Option<String> {
+        Some(self.read_meta()?["init_from"].as_str()?.to_owned())
+    }
+
+    /// Returns the hash of the policy that `path` names, a run folder or a checkpoint; `None` if
+    /// there is none.
+    pub fn hash(path: &Path) -> Option<String> {
+        let mut hash = Fnv::new();
+        hash.bytes(&std::fs::read(Self::checkpoint(path)).ok()?);
+        Some(hash.to_string())
     }
 
     /// Returns the programs that trained the run; `None` if `meta.json` is missing or damaged.
@@ -173,5 +195,18 @@ mod tests {
         // A new run in the folder takes nothing over.
         dir.begin_meta(&config, &at(0), "f", "one").unwrap();
         assert!(dir.training().expect("written").earlier.is_empty());
+        assert_eq!(dir.began_with(), None);
+
+        // The policy that a run began with stays that of its first step.
+        let policy = folder.path().join("policy.safetensors");
+        std::fs::write(&policy, "weights").unwrap();
+        let config = Config { init_from: policy.clone(), ..config };
+        dir.begin_meta(&config, &at(0), "f", "one").unwrap();
+        let began = dir.began_with().expect("written");
+        assert_eq!(Some(&began), RunDir::hash(&policy).as_ref());
+        std::fs::write(&policy, "others").unwrap();
+        assert_ne!(Some(&began), RunDir::hash(&policy).as_ref());
+        dir.begin_meta(&config, &at(64), "f", "one").unwrap();
+        assert_eq!(dir.began_with(), Some(began));
     }
 }

@@ -395,7 +395,7 @@ fn decisions_and_values() {
             comm: case.get("comm"),
             start: case.get("start").unsqueeze(-1).expand([3, 3], false),
             memory: if remembers { case.get("memory") } else { nothing() },
-            replaced: nothing(),
+            disturbance: nothing(),
             available: nothing(),
         };
         let present = case.get("present");

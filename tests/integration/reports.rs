@@ -231,6 +231,25 @@ fn kilometres_and_knowledge_have_tables() {
 }
 
 #[test]
+fn published_values_stand_beside_a_series_that_exists() {
+    let folder = folder();
+    let of = |beside: &str| {
+        let reference = format!(
+            "[[reference]]\nlabel = \"paper\"\nbeside = \"{beside}\"\nmetric = \"success\"\nx = [4]\ny = [0.5]"
+        );
+        let text = format!("{FILE}\n{reference}");
+        let sweep = Sweep::parse(&text, "s.toml", "s", folder.path()).expect("a sweep");
+        results(&sweep, |_| 0.9, |_| Value::Null);
+        report::write(&sweep, "iwol report", &folder.path().join("report"), Format::Png)
+    };
+    of("magic").expect("a report");
+    assert_eq!(
+        of("magik").expect_err("refused").to_string(),
+        "[[reference]] `paper`: beside = \"magik\" must be one of `im-iwol`, `mappo`, `magic`"
+    );
+}
+
+#[test]
 fn comparisons_are_made_as_the_file_names_them() {
     let folder = folder();
     let text = format!(

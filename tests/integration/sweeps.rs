@@ -426,6 +426,22 @@ fn a_cell_waits_for_the_one_whose_policy_it_begins_with() {
         config.contains("init_from = ") && config.contains("tiny/mappo_agents=4/seed_0"),
         "{config}"
     );
+
+    // What was learned from another policy than the present one is no result of this sweep.
+    let again = succeeds(&mut sweep(&file, &out, &[]));
+    assert!(text(&again.stdout).contains("2 of 2 cells finished, 0 failed"));
+    let first = out.join("tiny/mappo_agents=4/seed_0/checkpoints");
+    for name in ["best.safetensors", "last.safetensors"] {
+        let mut policy = std::fs::read(first.join(name)).expect("a policy");
+        *policy.last_mut().expect("weights") ^= 1;
+        std::fs::write(first.join(name), policy).expect("written");
+    }
+    let stale = sweep(&file, &out, &[]).output().expect("it ran");
+    let stale = text(&stale.stderr);
+    assert!(
+        stale.contains("seed_0` began with an earlier policy of the cell mappo_agents=4/seed_0"),
+        "{stale}"
+    );
 }
 
 /// All sweeps and configurations in `experiments` name existing settings.
@@ -465,8 +481,6 @@ fn the_experiments_that_come_along_load() {
     assert!(sweeps > 8);
 }
 
-/// Slurm runs every cell, on one machine with Debian's packages (`scripts/bootstrap --tests`
-/// installs them).
 /// A cell that begins with the policy of another cell cannot start before that one is trained.
 #[test]
 fn slurm_gets_the_cells_that_can_begin() {
@@ -492,6 +506,8 @@ fn slurm_gets_the_cells_that_can_begin() {
     assert_eq!(cells, ["agents=4_mappo/seed_0", "agents=4_mappo/seed_1"]);
 }
 
+/// Slurm runs every cell, on one machine with Debian's packages (`scripts/bootstrap --tests`
+/// installs them).
 #[test]
 fn slurm_runs_every_cell() {
     let folder = folder();

@@ -8,16 +8,16 @@ from typing import Any
 from .errors import Error
 
 
-def whole(name: str, value: Any, low: int = 0, high: int = 2**64 - 1) -> int:
+def whole(name: str, value: Any, low: int = 0, high: int = 2**64 - 1, error: type[Error] = Error) -> int:
     """Returns an argument that is a whole number.
 
     Raises:
-        Error: if it is no whole number from `low` to `high`.
+        error: if it is no whole number from `low` to `high`.
     """
     try:
         number = operator.index(value)
     except TypeError:
         number = low - 1
     if not low <= number <= high:
-        raise Error(f"{name} is {value!r}; allowed: whole numbers from {low} to {high}")
+        raise error(f"{name} is {value!r}; allowed: whole numbers from {low} to {high}")
     return number

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from . import _native
+from ._arguments import whole
 from ._scenarios import scenario_file
 from .errors import ScenarioError
 
@@ -136,7 +137,8 @@ def new(
         ScenarioError: if a value is not allowed, or a file exists already.
         SumoError: if netconvert is missing.
     """
-    return Path(_native.new_scenario(root, name, template, (lanes, arm_length, agents, speed, steering)))
+    sizes = (_optional("lanes", lanes), arm_length, _count("agents", agents), speed, steering)
+    return Path(_native.new_scenario(root, name, template, sizes))
 
 
 def import_osm(
@@ -166,7 +168,7 @@ def import_osm(
         ScenarioError: if there is no such junction, the map cannot be used, or a file exists already.
         SumoError: if netconvert is missing.
     """
-    choices = (junction, agents, steering, left_hand, whole_net)
+    choices = (junction, _count("agents", agents), steering, left_hand, whole_net)
     return _imported(_native.import_map(root, name, file, True, choices))
 
 
@@ -181,7 +183,7 @@ def import_net(
     root: str | os.PathLike[str] = ".",
 ) -> Imported:
     """Makes a draft scenario of a junction or roundabout of a SUMO net; the arguments are those of :func:`import_osm`."""
-    choices = (junction, agents, steering, False, whole_net)
+    choices = (junction, _count("agents", agents), steering, False, whole_net)
     return _imported(_native.import_map(root, name, file, False, choices))
 
 
@@ -197,7 +199,15 @@ def import_sumocfg(
     20 % of the cars are agents. `agents` is the number of slots for them; as many as the demand needs without it. Errors
     and `root` are as for :func:`import_osm`.
     """
-    return _imported(_native.import_sumocfg(root, name, file, agents))
+    return _imported(_native.import_sumocfg(root, name, file, _optional("agents", agents)))
+
+
+def _count(name: str, value: int) -> int:
+    return whole(name, value, high=2**32 - 1, error=ScenarioError)
+
+
+def _optional(name: str, value: int | None) -> int | None:
+    return None if value is None else _count(name, value)
 
 
 def _imported(parts: tuple[str | os.PathLike[str], list[tuple[str, str, int, int, int]], list[str], list[str]]) -> Imported:
@@ -217,10 +227,11 @@ def check(
         seed: seed of the trial.
 
     Raises:
-        ScenarioError: if there is no such file, or the trial cannot have this number of agents.
+        ScenarioError: if there is no such file, a number is not allowed, or the trial cannot have this number of agents.
         SumoError: if SUMO is missing.
     """
-    report = json.loads(_native.check_scenario(scenario_file(scenario), agents, steps, seed))
+    trial = (_optional("agents", agents), _count("steps", steps), whole("seed", seed, error=ScenarioError))
+    report = json.loads(_native.check_scenario(scenario_file(scenario), *trial))
     findings = [
         Finding(
             severity=row["severity"],
@@ -249,4 +260,4 @@ def show(scenario: str | os.PathLike[str], agents: int | None = None, *, format:
     """
     if format not in ("svg", "html"):
         raise ScenarioError(f"the format is {format!r}; allowed: 'svg', 'html'")
-    return _native.show_scenario(scenario_file(scenario), agents, format == "html")
+    return _native.show_scenario(scenario_file(scenario), _optional("agents", agents), format == "html")

@@ -159,7 +159,7 @@ impl Critic {
                     keep: view.comm.diagonal(0, 1, 2).ones_like(),
                     memory: nothing,
                     comm: view.comm.shallow_clone(),
-                    replaced: None,
+                    disturbance: None,
                     noise,
                     length: 1,
                     pack: true,

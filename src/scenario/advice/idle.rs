@@ -18,6 +18,7 @@ pub fn without_effect(
         ("termination", "border", follows, "vehicles do not steer"),
         ("termination", "brokenLines", follows, "vehicles do not steer"),
         ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
+        ("reward", "shareRange", s.reward.cooperation == 0.0, "cooperation is 0"),
         ("observation", "foresight", o.encounters == 0, "encounters is 0"),
         ("observation", "lidarRange", o.lidar.beams == 0, "lidarBeams is 0"),
         ("jitter", "longitudinal", placeless, "there are no spawn places"),

@@ -24,4 +24,9 @@ fn attributes_that_others_make_ineffective_are_named() {
         "border of <termination> has no effect, because vehicles do not steer",
     ];
     assert_eq!(idle(&changed), expected);
+    // Without cooperation, agents share nothing, near or far.
+    let near = text.replacen("<reward ", "<reward shareRange=\"50\" ", 1);
+    assert!(idle(&near).is_empty());
+    let alone = near.replacen("cooperation=\"0.06\"", "cooperation=\"0\"", 1);
+    assert_eq!(idle(&alone), ["shareRange of <reward> has no effect, because cooperation is 0"]);
 }

@@ -168,7 +168,7 @@ fn an_empty_slot_changes_nothing() {
             comm: without(&input.comm).index_select(2, &rest),
             start: without(&input.start),
             memory: without(&input.memory),
-            replaced: nothing(),
+            disturbance: nothing(),
             available: nothing(),
         };
         let gap = without(&five.act(&input, &ActMode::Deterministic).action);

@@ -107,7 +107,7 @@ fn evaluations_take_the_most_likely_open_choice() {
             comm: zeros(&[2, agents, agents]) + 1.0,
             start: zeros(&[2, agents]),
             memory: zeros(&[2, agents, learner.memory() as i64]),
-            replaced: nothing(),
+            disturbance: nothing(),
             available,
         };
         let best = learner.act(&input, &ActMode::Deterministic);

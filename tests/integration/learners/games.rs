@@ -109,7 +109,7 @@ fn play(name: &str, game: Game, updates: u64) -> f32 {
                 comm: Tensor::ones([e as i64, n as i64, n as i64], (Kind::Float, Device::Cpu)),
                 start: shaped(&rollout.start[rollout.at(t, 1)], 1).squeeze_dim(-1),
                 memory: shaped(&memory, sizes.memory),
-                replaced: nothing(),
+                disturbance: nothing(),
                 available: nothing(),
             };
             let graph = if sizes.graph_noise > 0 {

@@ -89,7 +89,7 @@ fn observation(learner: &dyn Algorithm, x: Tensor, comm: Tensor) -> Observation 
         comm,
         start: Tensor::zeros([e, n], (Kind::Float, Device::Cpu)),
         memory,
-        replaced: nothing(),
+        disturbance: nothing(),
         available: nothing(),
     }
 }

@@ -1,4 +1,4 @@
-//! Training hears what an evaluation hears: few bits, delays and false messages.
+//! Training hears what an evaluation hears: losses, few bits, delays and false messages.
 
 use iwol_sumo::algo::settings::EncoderKind;
 use iwol_sumo::algo::{self, ActMode, Algorithm, Channel, ChannelNoise, Observation, Settings};
@@ -10,12 +10,14 @@ use super::{complete, each, loud, noise, nothing, random_rollout, small, spec};
 
 const AGENTS: i64 = 4;
 
-fn channels() -> [Channel; 3] {
+fn channels() -> [Channel; 5] {
     let whole = Channel::default();
     [
         Channel { bits: 3, ..whole },
         Channel { delay: 2, ..whole },
         Channel { bits: 4, delay: 1, ..whole },
+        Channel { loss: 0.5, ..whole },
+        Channel { loss: 0.5, delay: 1, ..whole },
     ]
 }
 
@@ -31,8 +33,8 @@ fn with_messages(encoders: &[EncoderKind], check: impl Fn(&str, &Settings)) {
     }
 }
 
-/// Actions without exploration noise are the same in training and in evaluation, through a channel
-/// without chance, also across the beginning of episodes and of single trajectories.
+/// Actions without exploration noise are the same in training and in evaluation, where the same
+/// messages are lost, also across the beginning of episodes and of single trajectories.
 #[test]
 fn training_hears_what_an_evaluation_hears() {
     with_messages(&[EncoderKind::Mlp, EncoderKind::Attention], |name, settings| {
@@ -43,7 +45,10 @@ fn training_hears_what_an_evaluation_hears() {
             let mut memory = zeros(&[2, AGENTS, learner.training_memory() as i64]);
             let past = channel.memory(learner.message_width()) as i64;
             let mut heard = zeros(&[2, AGENTS, past]);
-            let mut silence = 0.0;
+            // The same weights in a training whose lost messages are only cut from the mask.
+            let whole = Settings { channel: Channel::default(), ..settings.clone() };
+            let masked = loud(name, &spec(AGENTS as usize), &whole);
+            let (mut silence, mut passed_on) = (0.0, 0.0);
             for t in 0..8 {
                 let start = zeros(&[2, AGENTS]);
                 match t {
@@ -52,20 +57,31 @@ fn training_hears_what_an_evaluation_hears() {
                     3 => drop(start.select(1, 2).fill_(1.0)),
                     _ => {}
                 }
+                let lost = noise(90 + t, &[2, AGENTS, AGENTS]).sigmoid();
                 let input = |memory: &Tensor| Observation {
                     observation: noise(70 + t, &[2, AGENTS, 4]),
                     comm: complete(2, AGENTS),
                     start: start.shallow_clone(),
                     memory: memory.shallow_clone(),
-                    replaced: nothing(),
+                    disturbance: nothing(),
                     available: nothing(),
                 };
+                let arrived = {
+                    let own = Tensor::eye(AGENTS, (Kind::Bool, Device::Cpu));
+                    lost.ge(channel.loss).logical_or(&own).to_kind(Kind::Float)
+                };
+                let explored = if learner.has_radio() {
+                    Observation { disturbance: &arrived - 1.0, ..input(&memory) }
+                } else {
+                    Observation { comm: arrived.shallow_clone(), ..input(&memory) }
+                };
+                let cut = Observation { comm: arrived, ..input(&zeros(&[2, AGENTS, 0])) };
                 let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
                 let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
                 let mode = ActMode::Sample { action, carried, graph, log_fresh: Vec::new() };
-                let trained = learner.act(&input(&memory), &mode);
+                let trained = learner.act(&explored, &mode);
                 let noise = ChannelNoise {
-                    lost: zeros(&[2, AGENTS, AGENTS]),
+                    lost,
                     falsified: zeros(&[2, AGENTS, AGENTS]),
                     content: zeros(&[2, AGENTS, AGENTS, 1]),
                 };
@@ -77,22 +93,32 @@ fn training_hears_what_an_evaluation_hears() {
                     "{name} {channel:?}, decision {t}"
                 );
                 silence += apart(&trained.action, &plain.action);
+                let cut = masked.act(&cut, &ActMode::Deterministic);
+                passed_on += apart(&trained.action, &cut.action);
                 (memory, heard) = (trained.memory, used.memory);
             }
             assert!(silence > 1e-3, "{name} {channel:?}: the channel changes something");
+            if channel == (Channel { loss: 0.5, ..Channel::default() }) {
+                // Over several rounds, a message that is only cut comes by a third agent.
+                let rounds = if name == "magic" { 2 } else { settings.iwol.rounds };
+                assert_eq!(learner.has_radio(), rounds > 1, "{name}");
+                assert_eq!(passed_on > 1e-3, rounds > 1, "{name} {rounds}: {passed_on}");
+            }
         }
     });
 }
 
-/// Draws false messages for a rollout of a learner.
+/// Returns a rollout of a learner in which messages are lost and falsified.
 fn rollout(learner: &dyn Algorithm, channel: &Channel) -> iwol_sumo::rollout::Rollout {
     let mut rollout = random_rollout(learner, AGENTS as usize, 3);
-    if channel.falsified > 0.0 {
+    if learner.has_radio() {
         let mut rng = Seed::new(9).rng();
-        let mut number = || {
-            if rng::below(&mut rng, 2) == 0 { 0.0 } else { 1.0 + rng::below(&mut rng, 4096) as f32 }
+        let mut number = || match rng::below(&mut rng, 4) {
+            0 if channel.loss > 0.0 => -1.0,
+            1 | 2 if channel.falsified > 0.0 => 1.0 + rng::below(&mut rng, 4096) as f32,
+            _ => 0.0,
         };
-        rollout.replaced = rollout.comm.iter().map(|_| number()).collect();
+        rollout.disturbance = rollout.comm.iter().map(|_| number()).collect();
     }
     rollout
 }
@@ -100,7 +126,7 @@ fn rollout(learner: &dyn Algorithm, channel: &Channel) -> iwol_sumo::rollout::Ro
 /// An update finds the policy that acted, whatever the channel did to its messages.
 #[test]
 fn updates_hear_what_acting_heard() {
-    let falsified = Channel { falsified: 0.5, ..Channel::default() };
+    let falsified = Channel { falsified: 0.5, loss: 0.5, ..Channel::default() };
     with_messages(&[EncoderKind::Mlp, EncoderKind::Gru], |name, settings| {
         for channel in channels().into_iter().chain([falsified]) {
             let encoder = settings.network.encoder;
@@ -117,7 +143,7 @@ fn updates_hear_what_acting_heard() {
             decide(&*learner, &mut rollout);
             nothing_moved(name, encoder, &mut *learner, &rollout);
             if channel.falsified > 0.0 {
-                let other = iwol_sumo::rollout::Rollout { replaced: Vec::new(), ..rollout };
+                let other = iwol_sumo::rollout::Rollout { disturbance: Vec::new(), ..rollout };
                 let losses = learner.update(&other, &super::STILL, Seed::new(4)).expect("finite");
                 let kl = losses.iter().find(|(name, _)| *name == "ppo/approx_kl").expect("kl").1;
                 assert!(kl > 1e-4, "{name}: false messages matter ({kl})");
