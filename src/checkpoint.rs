@@ -37,6 +37,9 @@ pub struct Progress {
     pub validated: u64,
     /// Environment steps of annealing so far.
     pub annealed: u64,
+    /// How many of them took place only because the run was about to end.
+    #[serde(default)]
+    pub forced: u64,
     /// Whether the last validation allows annealing to proceed.
     pub annealing: bool,
 }

@@ -32,7 +32,8 @@
 //! - Edges beyond the radio range do not exist, and an agent reads the previous agent's action only
 //!   if it listens to that agent.
 //!
-//! Observation encoder, value, noise and absent agents are as in [`mat`](super::mat).
+//! Observation encoder, value, noise, shared advantages and absent agents are as in
+//! [`mat`](super::mat).
 //! `commformer.lambda_world` adds IWoL's world decoder.
 //!
 //! Shapes: scores of the links `[N, N]`, row = listener; graph `[rows, N, N]`; representations

@@ -32,8 +32,12 @@ pub(super) fn mean_squared_error(prediction: &Tensor, target: &Tensor) -> Tensor
     (prediction - target).square().mean(Kind::Float)
 }
 
+/// Magnitude of a feature's limits from which on it counts as unbounded.
+const UNBOUNDED: f32 = 1e6;
+
 /// A decoder that predicts the privileged state from a latent. It ends in tanh, so that its targets
-/// are features divided by their largest magnitude, where that is above 1.
+/// are features divided by their largest magnitude, where that is above 1. Features without limits
+/// stay as they are, so that it does not reach values beyond -1 and 1.
 pub(super) struct WorldDecoder {
     decoder: LatentDecoder,
     /// What the features are divided by, `[S]`; `None` if all of them are between -1 and 1.
@@ -49,7 +53,7 @@ impl WorldDecoder {
         let magnitude = |feature: &Feature| feature.low.abs().max(feature.high.abs());
         let scales = spec.state.list.iter().map(magnitude);
         let scales: Vec<f32> =
-            scales.map(|most| if most.is_finite() { most.max(1.0) } else { 1.0 }).collect();
+            scales.map(|most| if most < UNBOUNDED { most.max(1.0) } else { 1.0 }).collect();
         let device = path.device();
         let scale = || Tensor::from_slice(&scales).to_device(device);
         Self {

@@ -8,7 +8,8 @@
 //!
 //! Shapes: embeddings f `[B, H]`, messages m `[B, D]`, policy and value on `[B, D + H]`, world
 //! decoder from m to the privileged state `[B, S]`. Differences from the paper are those of
-//! [`im_iwol`](super::im_iwol).
+//! [`im_iwol`](super::im_iwol); the scale of the policy's graph noise is that of [all
+//! methods](super).
 
 use tch::Tensor;
 

@@ -10,7 +10,7 @@
 //!    sender saw (its embedding) and did (its action); both learn this from the samples of all
 //!    agents
 //! 3. in the next step, an agent reads, besides its observation, the mean of the decoded symbols of
-//!    the agents within range
+//!    the agents within range that have shown one
 //! 4. three value functions: `icp-dec` has one value for each agent, from its own observation, and
 //!    its own return; `icp-sum` adds these values up to one value of the team; `icp-monotonic`
 //!    mixes them as QMIX does, with the privileged state; these two learn from the team's return,
@@ -19,8 +19,8 @@
 //! Differences from the original on purpose: a continuous action space has no spare scouting
 //! actions, so that the symbol accompanies the action and has no physical effect; the most likely
 //! symbol is always shown (original: Gumbel noise); the mean of decoded symbols serves any number
-//! of other agents (adaptation: one input for each). Proximal policy optimisation and the Gaussian
-//! head are those of all methods.
+//! of other agents (adaptation: one input for each). Proximal policy optimisation, the Gaussian
+//! head and, for `icp-dec`, shared advantages are those of [all methods](super).
 //!
 //! Shapes: symbols `[rows, N, K]`, which end the policy's memory; what an agent reads of others,
 //! and what the decoder predicts, `[rows, N, H + A]`.
@@ -118,10 +118,12 @@ impl<D: Decomposition> Icp<D> {
 
     /// Returns what agents read besides their observation, `[rows, N, H + A]`.
     /// `memory [rows, N, M]` ends with the symbols of the last step, which are cleared where
-    /// `keep [rows, N]` is 0; `comm [rows, N, N]` is 1 within range.
+    /// `keep [rows, N]` is 0; `comm [rows, N, N]` is 1 within range. Agents without a symbol do not
+    /// count.
     fn heard(&self, memory: &Tensor, keep: &Tensor, comm: &Tensor) -> Tensor {
         let shown = memory.narrow(2, self.encoder.memory(), self.symbols) * keep.unsqueeze(-1);
-        let others = comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2);
+        // Those whose trajectory begins have shown nothing yet.
+        let others = (comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2)) * keep.unsqueeze(1);
         let count = others.sum_dim_intlist(-1, true, Kind::Float).clamp_min(1.0);
         let all = Tensor::eye(self.symbols, (Kind::Float, memory.device()));
         (others / count).matmul(&shown).matmul(&self.decoder.forward(&all).detach())

@@ -13,7 +13,7 @@
 //! noise in each epoch); the world decoder predicts the privileged state, and the interaction
 //! decoder is linear (released code: the observation, and a tanh); the decoders learn from a part of
 //! the samples (`iwol.decoded`). The policy reads [z; f], as in the released code (Algorithm 1 of
-//! the paper: z alone).
+//! the paper: z alone). Shared advantages are those of [all methods](super).
 
 use tch::Tensor;
 

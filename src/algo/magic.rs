@@ -27,6 +27,7 @@
 //! - The noise of the graphs is stored with the rollout, and evaluation has none (reference: always
 //!   new noise).
 //! - `magic.lambda_world` adds IWoL's world decoder.
+//! - Shared advantages and the scale of the graphs' noise are those of [all methods](super).
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -9,8 +9,7 @@
 //! Differences on purpose: the value reads each agent's own observation beside the privileged state
 //! (reference: the concatenation of all observations), so that one network serves any number of
 //! agents; the noise of actions follows a schedule (reference: a learned parameter, as with
-//! `exploration.mode = "learned"`); advantages are shared among agents
-//! ([`Rollout::share_advantages`](crate::rollout::Rollout::share_advantages)).
+//! `exploration.mode = "learned"`); and what is common to [all methods](super).
 
 use super::batch::{Batch, Shard};
 use super::critic::{PrivilegedCritic, ValueFunction, value_loss};

@@ -17,7 +17,7 @@
 //! Differences on purpose: the observation encoder of all methods comes first; the value also reads
 //! the privileged state, as in most methods; the Gaussian head and its noise are those of all
 //! methods (reference: standard deviation ½ σ(parameter)); absent agents are left out of attention
-//! and sequence (reference: of the loss alone).
+//! and sequence (reference: of the loss alone); and what is common to [all methods](super).
 //!
 //! Shapes: representations `[rows, N, H]`; previous actions `[rows, N, A]`; values `[rows, N]`.
 //!

@@ -2,6 +2,13 @@
 //! loss (`networks`). `actor_critic` trains them by proximal policy optimisation, with the losses of
 //! [`ppo`]; a method that is trained otherwise implements [`Algorithm`] itself.
 //!
+//! Where all methods differ from their references: the advantages of other agents are added to an
+//! agent's own with the weight `cooperation` of the environment
+//! ([`Rollout::share_advantages`](crate::rollout::Rollout::share_advantages); MADDPG adds their
+//! penalties, and the teams of ICP have one return); the noise of actions follows a schedule, and so
+//! does the noise of graphs that a policy samples, which has its reference's scale only while the
+//! scheduled standard deviation is 1. The files of the methods have their further differences.
+//!
 //! A new method of this crate needs a file, its `mod` line and an entry in `METHODS` below. Commands,
 //! messages and tests follow from that entry. An application adds a method of its own by
 //! [`register`]; [`method`] has what such a method is made of.

@@ -170,6 +170,18 @@ mod tests {
         assert!((advantage[0] + 1.224_7).abs() < 1e-3 && advantage[1].abs() < 1e-6);
     }
 
+    /// With one ratio for each dimension of the action, each is clipped by itself.
+    #[test]
+    fn ratios_of_single_dimensions_are_clipped_by_themselves() {
+        let loss = |ratios: &[f32]| {
+            let new = Tensor::from_slice(ratios).log().unsqueeze(0);
+            let one = Tensor::from_slice(&[1.0_f32]);
+            policy_loss(&new, &new.zeros_like(), &one, &one).double_value(&[])
+        };
+        assert!((loss(&[1.5, 0.5]) + 1.2 + 0.5).abs() < 1e-6);
+        assert!((loss(&[1.5 * 0.5]) + 0.75).abs() < 1e-6);
+    }
+
     /// The first gradient step on a whole rollout is that of REINFORCE with a baseline
     /// (`presets/magic_reinforce.toml`).
     #[test]

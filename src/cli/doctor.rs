@@ -173,6 +173,7 @@ fn exchange(net: PathBuf) -> Result<String, sumo::Error> {
         routes: Vec::new(),
         timeout: Duration::from_secs(60),
         audit: true,
+        waits: false,
         others: None,
         traffic_lights: Vec::new(),
     };

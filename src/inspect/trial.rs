@@ -190,8 +190,9 @@ impl Trial {
         Ok(trial)
     }
 
-    /// Returns a warning about the vehicles and persons of the route files whom SUMO refuses, and one
-    /// about those of whom it refuses a stop; with [`Traffic::strict`](crate::scenario::Traffic), an
+    /// Returns an error for each route of a spawn place on which SUMO lets no vehicle depart, a
+    /// warning about the vehicles and persons of the route files whom SUMO refuses, and one about
+    /// those of whom it refuses a stop; with [`Traffic::strict`](crate::scenario::Traffic), an
     /// error for each of them.
     ///
     /// # Errors
@@ -202,14 +203,32 @@ impl Trial {
         hosting: &Hosting,
     ) -> Result<Vec<Finding>, Error> {
         let task = Task::new(scenario, agents)?;
+        let of_place = |message: String| {
+            Finding {
+            severity: Severity::Error,
+            kind: "departure",
+            file: scenario.path.clone(),
+            at: None,
+            message,
+            hint: Some(
+                "lower the row's departSpeed, or move the place away from the junction: a vehicle that has to yield there must be able \
+                 to stop"
+                    .to_owned(),
+            ),
+        }
+        };
+        let mut findings: Vec<Finding> =
+            task.dropped_at_places(hosting)?.into_iter().map(of_place).collect();
         let Refused { vehicles, stops, of } = task.refused_departures(hosting)?;
         if scenario.traffic.strict {
             let all = vehicles.iter().chain(&stops);
-            return Ok(all.map(|out| Finding::of(&out.error(), &out.place.path)).collect());
+            findings.extend(all.map(|out| Finding::of(&out.error(), &out.place.path)));
+            return Ok(findings);
         }
         let left_out = LeftOut::finding(&vehicles, of, "left out");
         let without = LeftOut::finding(&stops, of, "drive on without a stop");
-        Ok(left_out.into_iter().chain(without).collect())
+        findings.extend(left_out.into_iter().chain(without));
+        Ok(findings)
     }
 
     /// Returns the errors and warnings that follow from the trial.

@@ -17,14 +17,15 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
     }
     let rows: Vec<Row<'_>> =
         sweep.contrasts.iter().map(|contrast| row(sweep, contrast)).collect::<Result<_, _>>()?;
-    // A comparison that cannot be made yet counts as one, since it was named.
-    let found: Vec<f64> = rows.iter().map(|row| row.found.map_or(1.0, |found| found.p)).collect();
+    // A comparison that has no p-value yet counts as one, since it was named.
+    let found: Vec<f64> =
+        rows.iter().map(|row| row.found.and_then(|found| found.p).unwrap_or(1.0)).collect();
     let corrected = holm(&found);
     document.heading(2, "Comparisons");
     document.text(
         "Differences of interquartile means over seeds, as the sweep file names them, with 95 % intervals and two-sided p-values \
          of a stratified bootstrap with seeds as the unit, and p-values corrected for all rows together (Holm). With fewer than \
-         about five seeds the intervals are too narrow and the p-values too small.",
+         five seeds in a group the intervals are too narrow, and there is no p-value.",
     );
     let table = rows.iter().zip(corrected).map(|(row, corrected)| {
         let mut cells = vec![row.contrast.title.clone(), row.heading(), row.runs()];
@@ -32,7 +33,8 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
             Some(found) => {
                 let digits = row.metric.scale.digits;
                 cells.push(format!("{:.digits$}", found.difference));
-                cells.extend([found.p, corrected].map(chance));
+                let p = found.p.map(|p| [p, corrected]);
+                cells.extend(p.map_or_else(|| ["–"; 2].map(str::to_owned), |p| p.map(chance)));
             }
             None => cells.extend(["–", "–", "–"].map(str::to_owned)),
         }

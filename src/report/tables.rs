@@ -250,7 +250,7 @@ pub(super) fn aggregates(document: &mut Document, block: &Block<'_>) {
     }
     document.text(
         "Aggregates over all runs and all values of the horizontal axis, as in rliable: interquartile mean (IQM), median and \
-         mean of the means at each value, and optimality gap to 100 %. Brackets contain 95 % intervals of a stratified bootstrap \
+         mean of the means at each value (with a single value, the median is that of the seeds), and optimality gap to 100 %. Brackets contain 95 % intervals of a stratified bootstrap \
          with seeds as the unit. With fewer than about five seeds the intervals are too narrow; with one seed there are none.",
     );
     let show = |e: Option<Estimate>| e.map_or_else(|| "–".to_owned(), |e| e.to_string());

@@ -323,6 +323,40 @@ mod tests {
             }
         }
 
+        /// The penalties of other agents in range are added with their weight: their negative
+        /// rewards of steps that end their trajectories.
+        #[test]
+        fn penalties_are_added_by_the_definition(
+            agents in 1usize..6,
+            numbers in proptest::collection::vec(-3.0f32..3.0, 40),
+            ends in proptest::collection::vec(any::<bool>(), 40),
+            near in proptest::collection::vec(any::<bool>(), 200),
+            limited in any::<bool>(),
+            cooperation in 0.0f64..1.0,
+        ) {
+            let sizes =
+                Sizes { steps: 4, envs: 2, agents, observation: 0, state: 0, actions: 1, choices: 0, memory: 0, graph_noise: 0 };
+            let (count, flag) = (8 * agents, |b: bool| f32::from(u8::from(b)));
+            let mut rollout = Rollout { cooperation, ..Rollout::new(sizes) };
+            rollout.reward.copy_from_slice(&numbers[..count]);
+            rollout.terminated.iter_mut().zip(&ends).for_each(|(to, from)| *to = flag(*from));
+            if limited {
+                rollout.sharing = near[..count * agents].iter().map(|&b| flag(b)).collect();
+            }
+            let found = rollout.rewards_with_penalties();
+            for (k, found) in found.iter().enumerate() {
+                let mut expected = numbers[k];
+                for j in 0..agents {
+                    let other = k / agents * agents + j;
+                    let in_range = !limited || near[k * agents + j];
+                    if other != k && in_range && ends[other] && numbers[other] < 0.0 {
+                        expected += cooperation as f32 * numbers[other];
+                    }
+                }
+                prop_assert!((found - expected).abs() < 1e-4, "{k}: {found} {expected}");
+            }
+        }
+
         /// GAE equals the exponentially weighted sum of n-step advantages, each computed from its
         /// definition.
         #[test]

@@ -12,12 +12,17 @@ pub use idle::without_effect;
 use super::author::{State, state};
 use super::check::{Map, net_nodes};
 use super::reader::Reader;
-use super::{Demand, Finding, LeftOut, Net, Occlusion, Scenario, Severity, describe};
+use super::{Demand, Finding, LeftOut, Net, Occlusion, Scenario, Severity, Vehicle, describe};
 use crate::sumo::net::{EdgeFunction, Path, shorten};
 use crate::words::counted;
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
+/// Length of a vehicle up to which it has left a conflict point with its whole body where observations
+/// show the conflict as left \[m\].
+const LONGEST: f64 = 12.0;
+/// Speed that observations show as 1, with half a metre per second for rounding \[m/s\].
+const FASTEST: f64 = 22.7;
 
 /// Returns all advice on a scenario. `maps` are its nets and `demand` its route files, with `None` for
 /// those that have errors.
@@ -51,6 +56,7 @@ pub(super) fn advise(
     findings.extend(adviser.sight());
     findings.extend(scenario.occlusion.as_ref().and_then(Occlusion::others));
     findings.extend(adviser.reward());
+    adviser.vehicle(&mut findings);
     adviser.unused(&mut findings);
     adviser.without_effect(&sound, &mut findings);
     findings.extend(left_out(&sound));
@@ -97,6 +103,27 @@ impl Adviser<'_, '_, '_> {
         let node = self.reader.all("route").nth(route);
         let place = node.map_or_else(|| self.reader.at(0), |node| self.reader.place(node, "id"));
         Finding::warning(kind, place, message, hint)
+    }
+
+    /// Warns of vehicles that observations were not made for.
+    fn vehicle(&self, findings: &mut Vec<Finding>) {
+        let Vehicle { length, max_speed, .. } = self.scenario.vehicle;
+        if length > LONGEST {
+            findings.push(self.warning(
+                "long-vehicle",
+                ["vehicle", "length"],
+                format!("observations show a conflict as left while a vehicle of {length} m still covers it"),
+                "make vehicles at most 12 m long",
+            ));
+        }
+        if max_speed > FASTEST {
+            findings.push(self.warning(
+                "fast-vehicle",
+                ["vehicle", "maxSpeed"],
+                format!("observations show all speeds from {FASTEST} m/s on as the same, and vehicles drive {max_speed} m/s"),
+                "set maxSpeed to 22.222 or less, or expect agents that cannot tell these speeds apart",
+            ));
+        }
     }
 
     /// Warns of junctions in which SUMO detects no collisions.

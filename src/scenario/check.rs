@@ -6,7 +6,9 @@ use std::collections::BTreeSet;
 use roxmltree::Node;
 
 use super::model::ALL;
-use super::{AgentRange, Demand, DemandPlan, Error, Net, Place, Route, Scenario, reader::Reader};
+use super::{
+    AgentRange, Demand, DemandPlan, Error, Net, Place, Route, Scenario, Vehicle, reader::Reader,
+};
 use crate::sumo::net::{self, EdgeFunction, Path, did_you_mean, nearest, shorten};
 
 /// Tolerance of comparisons of positions \[m\].
@@ -332,23 +334,29 @@ fn classes(
     Ok(())
 }
 
-/// Checks that the jitter does not move a vehicle beyond the sides of its lane.
+/// Checks that the jitter does not move a vehicle beyond the sides of its lanes: of all lanes of its
+/// route, because a vehicle that does not steer keeps its offset, and otherwise of the first.
 fn lanes(
     scenario: &Scenario,
     map: &net::Net,
     paths: &[Path],
     reader: &Reader,
 ) -> Result<(), Error> {
-    let needed = scenario.vehicle.width + 2.0 * scenario.jitter.lateral;
-    let mut starts = paths.iter().map(|path| &map.lanes[path.lanes[0]]);
-    let Some(narrow) = starts.find(|lane| lane.width < needed - SLACK) else {
+    let offset = scenario.jitter.lateral;
+    let margin = if offset > 0.0 { Vehicle::BORDER_MARGIN } else { 0.0 };
+    let needed = scenario.vehicle.width + 2.0 * (offset + margin);
+    let kept = if scenario.control.steering.is_some() { 1 } else { usize::MAX };
+    let driven = paths.iter().flat_map(|path| path.lanes.iter().take(kept));
+    let narrowest = driven.map(|&lane| &map.lanes[lane]).min_by(|a, b| a.width.total_cmp(&b.width));
+    let Some(narrow) = narrowest.filter(|lane| lane.width < needed - SLACK) else {
         return Ok(());
     };
     let allowed = format!(
-        "at most half of the width that a vehicle {} m wide leaves free on lane `{}`, {} m wide",
+        "at most half of the width that a vehicle {} m wide leaves free on lane `{}`, {} m wide, less {} m",
         scenario.vehicle.width,
         shorten(&narrow.id),
-        narrow.width
+        narrow.width,
+        Vehicle::BORDER_MARGIN,
     );
     let value = scenario.jitter.lateral.to_string();
     let place = reader.place_in("jitter", "lateral");

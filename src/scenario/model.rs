@@ -100,6 +100,12 @@ element! {
     }
 }
 
+impl Vehicle {
+    /// Distance from a vehicle's side to the border at which the vehicle is off-road \[m\], as
+    /// measured on the paper's simulator.
+    pub const BORDER_MARGIN: f64 = 0.035;
+}
+
 element! {
     /// A kind of vehicle that an agent at a spawn place may have, no larger and no faster than
     /// [`Scenario::vehicle`].
@@ -260,11 +266,11 @@ element! {
         pub lane_keeping: f64,
         /// What an agent loses in each second on the road, 0 or more.
         pub time: f64,
-        /// Reward of the step in which the agent arrives, in place of all other terms.
+        /// Reward of the step in which the agent arrives, in place of the terms for driving.
         pub arrive: f64,
-        /// Reward of the step in which the agent goes off-road, in place of all other terms.
+        /// Reward of the step in which the agent goes off-road, in place of the terms for driving.
         pub out_of_road: f64,
-        /// Reward of the step in which the agent crashes, in place of all other terms.
+        /// Reward of the step in which the agent crashes, in place of the terms for driving.
         pub crash: f64,
         /// Added to the reward of a step in which the agent passes a red signal.
         pub red_light: f64,

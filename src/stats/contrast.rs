@@ -5,14 +5,19 @@
 use super::Estimate;
 use super::aggregate::{interquartile_mean, resample, summary};
 
+/// Number of runs in each group from which on the bootstrap's p-values are valid.
+pub const RUNS_FOR_P: usize = 5;
+
 /// A comparison of groups of runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contrast {
     /// The weighted sum of the groups' interquartile means, with its 95 % interval.
     pub difference: Estimate,
     /// Two-sided p-value: twice the smaller share of resamples on either side of 0, 0 included.
-    /// The least value depends on the number of resamples.
-    pub p: f64,
+    /// The least value depends on the number of resamples. `None` if a group has fewer than
+    /// [`RUNS_FOR_P`] runs: with three runs in each of two groups that do not differ, a fifth of
+    /// the p-values would be below 0.05.
+    pub p: Option<f64>,
 }
 
 /// Returns the sum of the groups' interquartile means, each times its weight: 1 and -1 for the
@@ -33,7 +38,8 @@ pub fn contrast(groups: &[(f64, Vec<f64>)]) -> Option<Contrast> {
         (count + 1) as f64 / (values.len() + 1) as f64
     };
     let p = 2.0 * share(&|value| value <= 0.0).min(share(&|value| value >= 0.0));
-    Some(Contrast { difference: summary(difference(&runs), values), p: p.min(1.0) })
+    let p = runs.iter().all(|runs| runs.len() >= RUNS_FOR_P).then_some(p.min(1.0));
+    Some(Contrast { difference: summary(difference(&runs), values), p })
 }
 
 /// Returns p-values corrected for as many comparisons (Holm 1979): the chance that any of the true
@@ -69,16 +75,29 @@ mod tests {
     fn groups_that_differ_are_told_from_groups_that_do_not() {
         let runs = |mean: f64| (0..10).map(|k| mean + f64::from(k % 5) - 2.0).collect::<Vec<_>>();
         let far = contrast(&[(1.0, runs(90.0)), (-1.0, runs(40.0))]).expect("runs");
-        assert!((far.difference.mean - 50.0).abs() < 1e-9 && far.p < 0.01, "{far:?}");
+        assert!(
+            (far.difference.mean - 50.0).abs() < 1e-9 && far.p.is_some_and(|p| p < 0.01),
+            "{far:?}"
+        );
         assert!(far.difference.low > 45.0 && far.difference.high < 55.0, "{far:?}");
         let none = contrast(&[(1.0, runs(90.0)), (-1.0, runs(90.0))]).expect("runs");
-        assert!(none.p > 0.2 && none.difference.low < 0.0 && none.difference.high > 0.0);
+        assert!(
+            none.p.is_some_and(|p| p > 0.2)
+                && none.difference.low < 0.0
+                && none.difference.high > 0.0
+        );
         // The first difference is 50, the second 0.
         let groups = [(1.0, 90.0), (-1.0, 40.0), (-1.0, 95.0), (1.0, 95.0)];
         let groups = groups.map(|(weight, mean)| (weight, runs(mean)));
         let both = contrast(&groups).expect("runs");
-        assert!((both.difference.mean - 50.0).abs() < 1e-9 && both.p < 0.01, "{both:?}");
+        assert!(
+            (both.difference.mean - 50.0).abs() < 1e-9 && both.p.is_some_and(|p| p < 0.01),
+            "{both:?}"
+        );
         assert_eq!(contrast(&[(1.0, runs(1.0)), (-1.0, vec![1.0])]), None);
+        // Of the ten ways to divide these five runs, one is as extreme: no test has p < 0.1.
+        let few = contrast(&[(1.0, vec![1.0, 2.0, 3.0]), (-1.0, vec![11.0, 12.0])]).expect("runs");
+        assert!(few.p.is_none() && few.difference.mean < -9.0, "{few:?}");
     }
 
     proptest! {

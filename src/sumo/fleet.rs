@@ -258,9 +258,10 @@ impl Fleet {
         }
     }
 
-    /// Whether there are departures, of which SUMO may drop some.
-    pub(super) fn has_departures(&self) -> bool {
-        self.config.others.as_ref().is_some_and(|others| !others.departures.is_empty())
+    /// Whether vehicles may have to wait for room on the road, so that SUMO may drop some.
+    pub(super) fn may_drop(&self) -> bool {
+        let others = self.config.others.as_ref();
+        self.config.waits || others.is_some_and(|others| !others.departures.is_empty())
     }
 
     /// Records that the vehicle of this name waits for room on the road.
@@ -277,7 +278,8 @@ impl Fleet {
     pub(super) fn find_dropped(&mut self) {
         for vehicle in 0..self.slots.len() {
             let slot = &mut self.slots[vehicle];
-            if slot.entry != Entry::Done && (!slot.known || self.snapshot.bodies[vehicle].is_some())
+            if slot.entry != Entry::Done
+                && (!slot.known || self.snapshot.vehicles[vehicle].is_some())
             {
                 slot.entry = Entry::Done;
             }
@@ -331,11 +333,9 @@ impl Fleet {
     }
 
     fn report_drop(&mut self, vehicle: usize, reason: Option<String>, drives: bool) {
-        if let Some(departure) = self.slots[vehicle].departure {
-            let slots = self.config.slots;
-            let (world, slot) = (vehicle as u32 / slots, vehicle as u32 % slots);
-            self.snapshot.dropped.push(Dropped { world, slot, departure, reason, drives });
-        }
+        let (slots, departure) = (self.config.slots, self.slots[vehicle].departure);
+        let (world, slot) = (vehicle as u32 / slots, vehicle as u32 % slots);
+        self.snapshot.dropped.push(Dropped { world, slot, departure, reason, drives });
     }
 
     /// Records a collision that SUMO reports. Ignores collisions with vehicles that are not in this

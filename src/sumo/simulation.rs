@@ -303,6 +303,9 @@ pub struct SimulationConfig {
     /// Whether SUMO also detects collisions on junctions. In dense traffic this takes most of
     /// SUMO's time.
     pub audit: bool,
+    /// Whether vehicles of [`Command::Add`] may have to wait for room on the road, so that SUMO may
+    /// drop them ([`Snapshot::dropped`]).
+    pub waits: bool,
     /// Background traffic; `None` if there is none.
     pub others: Option<BackgroundTraffic>,
     /// Ids of the traffic lights whose states [`Snapshot::traffic_lights`] gives.
@@ -323,6 +326,7 @@ impl SimulationConfig {
             routes: Vec::new(),
             timeout: Duration::from_secs(60),
             audit: true,
+            waits: false,
             others: None,
             traffic_lights: Vec::new(),
         }
@@ -370,8 +374,8 @@ pub struct Dropped {
     pub world: u32,
     /// Slot of the vehicle, which is empty now unless the vehicle drives.
     pub slot: u32,
-    /// Index into [`BackgroundTraffic::departures`].
-    pub departure: u32,
+    /// Index into [`BackgroundTraffic::departures`]; `None` for a vehicle of [`Command::Add`].
+    pub departure: Option<u32>,
     /// SUMO's reason, if it gives one.
     pub reason: Option<String>,
     /// Whether the vehicle drives, without one of its stops.

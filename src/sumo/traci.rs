@@ -94,7 +94,7 @@ impl TraciSimulation {
         let mut of_simulation =
             vec![VAR_TIME.id(), VAR_COLLISIONS.id(), VAR_ARRIVED_VEHICLES_IDS.id()];
         of_simulation.extend(walks.then(|| VAR_ARRIVED_PERSONS_IDS.id()));
-        of_simulation.extend(self.fleet.has_departures().then(|| VAR_PENDING_VEHICLES.id()));
+        of_simulation.extend(self.fleet.may_drop().then(|| VAR_PENDING_VEHICLES.id()));
         batch.subscribe(Domain::SIMULATION, "", &of_simulation);
         let all = [
             VAR_DISTANCE.id(),

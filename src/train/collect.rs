@@ -317,6 +317,19 @@ mod tests {
         }
     }
 
+    /// The scenario says how much the advantages of others count.
+    #[test]
+    fn rollouts_have_the_cooperation_of_the_scenario() {
+        let scenario = concat!(env!("CARGO_MANIFEST_DIR"), "/scenarios/intersection.xml");
+        let flags = [("scenario", scenario), ("algorithm", "mappo")];
+        let flags = flags.map(|(key, value)| (key, Value::String(value.to_owned()))).to_vec();
+        let sets = vec!["scenario.reward.cooperation=0.4".to_owned()];
+        let layers = Layers { sets, flags, ..Layers::default() };
+        let (config, scenario) = Config::resolve(&layers).expect("valid settings");
+        let trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
+        assert_eq!(trainer.rollout.cooperation, 0.4);
+    }
+
     /// In a training with losses, rollouts contain the masks of what arrived.
     #[test]
     fn lost_messages_are_lost_in_training() {

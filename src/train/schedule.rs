@@ -49,8 +49,12 @@ pub(super) fn advance(config: &Config, progress: &mut Progress, steps: u64) {
     let ending = progress.step + steps + left > config.steps;
     // A policy that succeeds only with noise fails in validations, which have no noise, and does
     // not learn to succeed without noise while the noise stays. So exploration ends in any case.
-    if progress.annealing || ending || is_explored(config, progress) {
+    let earned = progress.annealing || is_explored(config, progress);
+    if earned || ending {
         progress.annealed += steps;
+    }
+    if !earned && ending {
+        progress.forced += steps;
     }
     progress.step += steps;
 }
@@ -67,6 +71,7 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
         // run leaves time for it.
         let (whole, left) = (anneal_steps(config), config.steps.saturating_sub(progress.step));
         progress.annealed = noise_steps(whole).max(whole.saturating_sub(left));
+        progress.forced = progress.forced.min(progress.annealed);
     }
     progress.validated = progress.step;
     // The next multiple of the interval.
@@ -76,10 +81,14 @@ pub(super) fn validated(config: &Config, progress: &mut Progress, success: f64) 
 /// Adapts the progress of a run of `before` steps to the steps of `config`: annealing that took
 /// place only because the run was about to end is taken back.
 pub(super) fn extended(config: &Config, progress: &mut Progress, before: u64) {
-    if config.steps > before && !progress.annealing {
-        let whole = anneal_steps(config);
-        let earned = if is_explored(config, progress) { noise_steps(whole) } else { 0 };
-        progress.annealed = progress.annealed.min(earned);
+    if config.steps <= before {
+        return;
+    }
+    progress.annealed = progress.annealed.saturating_sub(progress.forced);
+    progress.forced = 0;
+    if is_explored(config, progress) && !progress.annealing {
+        // The run learns on with its low noise and the full learning rate.
+        progress.annealed = progress.annealed.min(noise_steps(anneal_steps(config)));
     }
 }
 
@@ -283,6 +292,18 @@ mod tests {
             Progress { annealing: true, annealed: 200, step: 1000, ..Progress::default() };
         extended(&config, &mut earned, 1000);
         assert_eq!(earned.annealed, 200);
+        // Annealing that validations have earned stays, also where the last one failed.
+        let mut paused = Progress { annealed: 50, step: 350, ..Progress::default() };
+        extended(&config, &mut paused, 1000);
+        assert_eq!(paused.annealed, 50);
+        // A run that ends before exploration does is forced to anneal, and takes that back.
+        config.steps = 300;
+        let success = |progress: &Progress| f64::from(u8::from(progress.step == 50));
+        let mut forced = play(&config, success, |_, _| ());
+        assert_eq!((forced.annealed, forced.forced), (150, 100), "a success at step 50 counts");
+        config.steps = 2000;
+        extended(&config, &mut forced, 300);
+        assert_eq!((forced.annealed, forced.forced), (50, 0));
     }
 
     proptest! {

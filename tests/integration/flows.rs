@@ -7,7 +7,7 @@ use std::sync::Arc;
 use iwol_sumo::driving::Policy;
 use iwol_sumo::env::{Driver, EpisodeRecord, Frame, Task, VecEnv, VecOptions};
 use iwol_sumo::rng::{self, Seed};
-use iwol_sumo::scenario::Scenario;
+use iwol_sumo::scenario::{PlaceDeparture, Scenario};
 use iwol_sumo::sumo::{Backend, Hosting};
 
 use crate::support::{agents_drive, folder, play, root, shipped, turn};
@@ -145,6 +145,8 @@ fn agents_arrive_where_the_files_say() {
     (scenario.traffic.penetration, scenario.traffic.files) = (1.0, vec![file]);
     (scenario.traffic.begin.0, scenario.termination.horizon) = (100.0, 900);
     let task = Arc::new(Task::new(&scenario, 12).expect("a task"));
+    let features = &task.spec.observation.list;
+    let place = features.iter().position(|f| f.name == "ego.to_arrival").expect("a feature");
     let refused = task.refused_departures(&Hosting::default()).expect("SUMO runs");
     assert!(refused.vehicles.is_empty() && refused.stops.is_empty(), "{refused:?}");
     for driver in [Driver::Agents, Driver::Sumo] {
@@ -152,11 +154,19 @@ fn agents_arrive_where_the_files_say() {
         let mut env = VecEnv::new(&task, &options).expect("SUMO runs");
         let mut ended = Vec::new();
         let record = loop {
-            let before: Vec<_> = env.worlds().next().expect("one world").agents().collect();
+            let world = env.worlds().next().expect("one world");
+            let (before, observed) =
+                (world.agents().collect::<Vec<_>>(), world.frame().observation.clone());
             env.step(&[0.25; 12]).expect("SUMO loses no agent");
             let world = env.worlds().next().expect("one world");
-            for (before, after) in before.iter().zip(world.agents()) {
+            for (slot, (before, after)) in before.iter().zip(world.agents()).enumerate() {
                 if before.driving && !after.driving && after.outcome.arrived {
+                    let to_arrival = observed[slot * features.len() + place] * 100.0;
+                    let route = task.map.route_id(before.route);
+                    // "any" may be removed anywhere on its last edge.
+                    if !route.starts_with("any ") {
+                        assert!(to_arrival.abs() < 3.0, "{driver:?} {route}: {to_arrival}");
+                    }
                     ended.push((task.map.route_id(before.route).to_owned(), before.position));
                 }
             }
@@ -173,5 +183,59 @@ fn agents_arrive_where_the_files_say() {
             let within = end - 2.3..=end + 0.1;
             assert!(here.len() > 1 && here.iter().all(|s| within.contains(s)), "{route}{here:?}");
         }
+    }
+}
+
+/// Agents of spawn places that depart later keep their slots, also where agents of route files come
+/// before them.
+#[test]
+fn slots_of_agents_that_depart_later_are_reserved() {
+    let folder = folder();
+    let file = folder.path().join("cars.rou.xml");
+    let car = "<routes><vType id=\"car\"/><route id=\"a\" edges=\"west_in east_out\"/>\
+        <vehicle id=\"v\" type=\"car\" route=\"a\" depart=\"1\"/></routes>";
+    fs::write(&file, car).expect("written");
+    let mut scenario = shipped("mixed_cross");
+    (scenario.traffic.penetration, scenario.traffic.files) = (1.0, vec![file]);
+    (scenario.agents.vehicles, scenario.termination.horizon) = (vec!["v".into()], 300);
+    for row in &mut scenario.nets[0].spawns {
+        row.departure = PlaceDeparture { begin: 5.0, end: 8.0, ..PlaceDeparture::default() };
+    }
+    let task = Arc::new(Task::new(&scenario, 4).expect("a task"));
+    let played = play(&task, &Policy::Throttle(0.3), 3, Seed::new(1));
+    for record in &played.episodes {
+        let flow = record.driving().flow.expect("a flow");
+        assert!(!record.interrupted && flow.departed == 1, "{record:?}");
+    }
+}
+
+/// SUMO drops vehicles that cannot stop before a junction where they have to yield. The check names
+/// their places, and an episode does not wait for them.
+#[test]
+fn vehicles_that_sumo_drops_at_spawn_places_are_named() {
+    let mut scenario = shipped("intersection_turns_small");
+    let hosting = Hosting::default();
+    let with = |scenario: &mut Scenario, depart_speed: f64| {
+        for row in &mut scenario.nets[0].spawns {
+            row.departure = PlaceDeparture { end: 1.0, depart_speed, ..PlaceDeparture::default() };
+        }
+        Arc::new(Task::new(scenario, 4).expect("a task"))
+    };
+    let slow = with(&mut scenario, 1.0);
+    assert_eq!(slow.dropped_at_places(&hosting).expect("SUMO runs"), Vec::<String>::new());
+    let fast = with(&mut scenario, 13.8);
+    let dropped = fast.dropped_at_places(&hosting).expect("SUMO runs");
+    assert!(!dropped.is_empty() && dropped[0].contains("with 13.8 m/s"), "{dropped:?}");
+    for backend in [Backend::Traci, Backend::Libsumo] {
+        let _turn = turn(backend);
+        let mut env = VecEnv::new(&fast, &options(1, backend)).expect("SUMO runs");
+        let mut records = Vec::new();
+        // Everybody who came has crossed long before the horizon of 1000 steps.
+        for _ in 0..600 {
+            env.step(&[0.6; 8]).expect("a step");
+            records.extend(env.take_finished());
+        }
+        assert!(!records.is_empty(), "{backend:?}: the first episode waits");
+        assert!(records.iter().all(|record| !record.interrupted), "{backend:?}: {records:?}");
     }
 }

@@ -345,7 +345,7 @@ fn what_does_not_go_with_the_nets_is_refused() {
     insta::assert_snapshot!(mistake("first=\"14\" spacing=\"8\" count=\"2\"", "first=\"14\" spacing=\"8\" count=\"3\""), @"task.xml:26:13: the spawn place at 30 m of route `eastbound` does not fit on edge `west_in`: a place needs 3.2575 m on both sides within 0 to 30 m (hint: move the places, lower their number, or make the longitudinal jitter smaller)");
     insta::assert_snapshot!(mistake("first=\"14\" spacing=\"8\" count=\"2\"", "first=\"14\" spacing=\"6\" count=\"2\""), @"task.xml:26:13: the spawn places at 14 m and 20 m of lane `west_in_0` overlap: vehicle and jitter need 6.515 m (hint: move the places, lower their number, or make the longitudinal jitter smaller)");
     insta::assert_snapshot!(mistake("wreckTime=\"2.5\"", "wreckTime=\"2.5\" brokenLines=\"west_inn\""), @"task.xml:71:49: `west_inn` is not a valid brokenLines of <termination>, allowed: edges of NETS/intersection/arm30.net.xml; did you mean `west_in`?");
-    insta::assert_snapshot!(mistake("lateral=\"0.25\"", "lateral=\"0.9\""), @"task.xml:55:30: `0.9` is not a valid lateral of <jitter>, allowed: at most half of the width that a vehicle 1.852 m wide leaves free on lane `west_in_0`, 3.5 m wide");
+    insta::assert_snapshot!(mistake("lateral=\"0.25\"", "lateral=\"0.9\""), @"task.xml:55:30: `0.9` is not a valid lateral of <jitter>, allowed: at most half of the width that a vehicle 1.852 m wide leaves free on lane `west_in_0`, 3.5 m wide, less 0.035 m");
 }
 
 #[test]

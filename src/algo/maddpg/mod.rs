@@ -9,8 +9,10 @@
 //!    the effects of a decision come seconds later
 //! 2. policy: follows the critic's gradient with respect to the agent's own action; the other
 //!    agents' actions are those in the buffer
-//! 3. reward and end of the trajectory are the agent's own (reference: agent 0's reward for a
-//!    shared policy)
+//! 3. the end of the trajectory is the agent's own, and so is the reward, to which the penalties of
+//!    other agents are added with the weight `cooperation`
+//!    ([`Rollout::rewards_with_penalties`](crate::rollout::Rollout::rewards_with_penalties);
+//!    reference: agent 0's reward for a shared policy)
 //! 4. actions: tanh of a linear layer, plus Gaussian noise (reference: no tanh, noise of standard
 //!    deviation 0.1); a penalty keeps the values before the tanh small, as in the code of Lowe et
 //!    al.

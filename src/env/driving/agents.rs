@@ -4,8 +4,8 @@
 //! The agents' slots come first, then those of background traffic. An agent's slot is *empty*,
 //! then *active* (an agent drives), then either empty again (the agent has arrived) or a *wreck*
 //! (the agent has crashed or is off-road), which is an obstacle for a while before the slot is
-//! empty. A slot becomes active again in the same episode only with an agent from a route file, and
-//! is empty for at least one frame in between.
+//! empty. A slot becomes active again in the same episode only with an agent from a route file, whose
+//! first frame may follow the last one of the vehicle before.
 
 use nalgebra::Vector2;
 
@@ -15,8 +15,8 @@ use super::occlusion::Walls;
 use super::vehicle::tyres::Motion;
 use crate::sumo::net::Aspect;
 
-/// A vehicle whose centre is more than this far past a conflict point has left it with its whole
-/// body \[m\].
+/// A vehicle whose centre is more than this far past a conflict point counts as having left it
+/// \[m\]. Vehicles of up to 12 m have then left it with their whole bodies.
 pub(crate) const CLEARED: f64 = 7.0;
 
 /// What a slot holds.

@@ -20,7 +20,7 @@ use super::effects::Effects;
 use super::geometry::{Pose, Size};
 use super::metrics::BackgroundMetrics;
 use super::motion::{NO_CHECKS, SUMO_CHECKS, lane_change_mode};
-use super::spawn::{MARGIN, Placed};
+use super::spawn::{MARGIN, Placed, Spawned};
 use super::task::{Driver, Task};
 use crate::rng::{Rng, Seed};
 use crate::scenario::{PlannedSource, Spacing};
@@ -85,15 +85,14 @@ impl Background {
         Self { driver, clocks, pending: Vec::new(), has_agents: false, effects }
     }
 
-    /// Begins a new episode: empties the slots and lets vehicles depart. `places` are the vehicles
-    /// at spawn places, `None` for one that is not there. `slots` are those of the agents and of the
-    /// background traffic.
+    /// Begins a new episode: empties the slots and lets vehicles depart. `spawned` are the vehicles
+    /// at spawn places; `slots` are those of the agents and of the background traffic.
     pub(super) fn spawn(
         &mut self,
         task: &Task,
         world: u32,
         seed: Seed,
-        places: &[Option<Placed>],
+        spawned: &Spawned,
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
@@ -119,21 +118,23 @@ impl Background {
             *slot = Slot::default();
         }
         self.pending.clear();
-        for (slot, placed) in (task.agents..).zip(places) {
+        for (slot, placed) in (task.agents..).zip(&spawned.others) {
             let (vehicle_type, size) = task.place_type(draw(&task.place_mix, &mut rng));
             let pending = placed.map(|placed| Pending { slot, placed, vehicle_type, size });
             self.pending.extend(pending);
         }
-        self.let_depart(task, world, 0.0, slots, commands);
+        self.let_depart(task, world, 0.0, spawned, slots, commands);
     }
 
     /// Appends the commands of the coming exchange, `now` seconds after the start of the episode.
-    /// `slots` are those of the agents and of the background traffic.
+    /// `spawned` are the vehicles at spawn places; `slots` are those of the agents and of the
+    /// background traffic.
     pub(super) fn act(
         &mut self,
         task: &Task,
         world: u32,
         now: f64,
+        spawned: &Spawned,
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
@@ -154,11 +155,11 @@ impl Background {
                 commands.push(Command::SetSpeed { world, slot: at, speed: 0.0 });
             }
         }
-        self.let_depart(task, world, now, slots, commands);
+        self.let_depart(task, world, now, spawned, slots, commands);
     }
 
     /// Lets the vehicles depart whose time has come: those at spawn places, and those of the route
-    /// files as long as slots are free; the others wait. Those that have waited longest depart
+    /// files as long as slots are free and not reserved; the others wait. Those that have waited longest depart
     /// first, in steps for background traffic and in seconds for agents, so that no flow gets every
     /// slot that becomes free.
     fn let_depart(
@@ -166,6 +167,7 @@ impl Background {
         task: &Task,
         world: u32,
         now: f64,
+        spawned: &Spawned,
         slots: &mut [Slot],
         commands: &mut Vec<Command>,
     ) {
@@ -215,7 +217,8 @@ impl Background {
                 });
                 continue;
             }
-            let free = (0..task.agents).find(|&i| slots[i].is_free());
+            let free = |&i: &usize| slots[i].is_free() && !spawned.is_reserved(i);
+            let free = (0..task.agents).find(free);
             let (Some((_, index, due)), Some(i)) = (agent, free) else { return };
             self.clocks[index].take(task, &sources[index]);
             self.has_agents = true;

@@ -101,7 +101,8 @@ impl Intentions {
             .then_some(self.observation.signal_distance);
         self.queues.iter_mut().for_each(Vec::clear);
         for (j, slot) in traffic.slots.iter().enumerate() {
-            let begins = std::mem::take(&mut self.counts[j]) == 0;
+            // A slot may be empty and taken again between two frames.
+            let begins = std::mem::take(&mut self.counts[j]) == 0 || slot.age == 0;
             let alike = &map.forks.alike[slot.route];
             if slot.status == Status::Empty {
                 continue;

@@ -51,18 +51,19 @@ pub(super) fn watch(map: &Map, interval: f64, slots: &[Slot], agents: &mut [Loit
         loitering.has_moved |= own.speed.abs() > MOVING;
         let slow = loitering.has_moved && own.speed.abs() < SLOW;
         let route = &map.routes[own.route];
-        let near = (route.arrival - own.s).abs() <= NEAR;
-        if slow && near && !is_anyone_ahead(route, slots, agent) {
+        let finish = own.finish(map);
+        let near = (finish - own.s).abs() <= NEAR;
+        if slow && near && !is_anyone_ahead(route, finish, slots, agent) {
             loitering.time += interval;
         }
     }
 }
 
-/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's path to its finish: on
+/// Whether a vehicle, a wreck or a pedestrian is on the rest of the agent's path to its `finish`: on
 /// a lane that both routes use, or with its body where the agent's body has to pass.
-fn is_anyone_ahead(route: &RouteGeometry, slots: &[Slot], agent: usize) -> bool {
+fn is_anyone_ahead(route: &RouteGeometry, finish: f64, slots: &[Slot], agent: usize) -> bool {
     let own = &slots[agent];
-    let end = route.arrival + own.size[0] / 2.0;
+    let end = finish + own.size[0] / 2.0;
     slots.iter().enumerate().any(|(j, other)| {
         let there = j != agent && other.departed && other.status != Status::Empty;
         let reach = NEAR + own.size[0] + other.size[0];
@@ -75,15 +76,16 @@ fn is_anyone_ahead(route: &RouteGeometry, slots: &[Slot], agent: usize) -> bool 
         let lengths = own.size[0] + other.size[0];
         on_path
             || !route.passes_over(own.s, other.route, other.s, lengths)
-                && poses_to_finish(route, own).any(|pose| boxes_overlap((&pose, own.size), body))
+                && poses_to_finish(route, finish, own)
+                    .any(|pose| boxes_overlap((&pose, own.size), body))
     })
 }
 
 /// Returns the agent's poses on the rest of its path, at its present lateral offset.
-fn poses_to_finish(route: &RouteGeometry, own: &Slot) -> impl Iterator<Item = Pose> {
-    let steps = ((route.arrival - own.s).max(0.0) / SPACING).ceil() as u32;
+fn poses_to_finish(route: &RouteGeometry, finish: f64, own: &Slot) -> impl Iterator<Item = Pose> {
+    let steps = ((finish - own.s).max(0.0) / SPACING).ceil() as u32;
     (1..=steps).map(move |k| {
-        let (point, heading) = route.path.at((own.s + f64::from(k) * SPACING).min(route.arrival));
+        let (point, heading) = route.path.at((own.s + f64::from(k) * SPACING).min(finish));
         Pose::beside(point, heading, own.lateral)
     })
 }

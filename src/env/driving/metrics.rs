@@ -8,11 +8,11 @@ use super::failures::Failures;
 use super::trips::FlowMetrics;
 
 /// Metrics of one finished episode of vehicles. Shares are fractions of the episode's agents,
-/// without those from route files that are on the road at the end and not late (`trips.rs`).
+/// without those from route files that came too late to arrive (`trips.rs`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 pub struct DrivingRecord {
-    /// Whether no agent counts, because all are on the road at the end and none is late. Shares of
-    /// agents are then unknown: the fields contain 0, and 1 for `safety`.
+    /// Whether no agent counts, because all came too late to arrive. Shares of agents are then
+    /// unknown: the fields contain 0, and 1 for `safety`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub undecided: bool,
     /// Share of agents that neither crashed nor went off-road.

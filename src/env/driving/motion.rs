@@ -334,11 +334,7 @@ fn place_on_lane(task: &Task, slot: &mut Slot, body: &Body, speed: f64) {
 /// Returns the position of the front of an agent from a route file that reached the end of its trip
 /// in the last step \[m\]; `None` if it did not.
 fn front_at_its_end(task: &Task, slot: &Slot) -> Option<f64> {
-    let mut end = slot.departure.filter(|_| slot.status == Status::Active)?.end;
-    if slot.route != slot.assigned {
-        let length = |route: usize| task.map.routes[route].lanes().length();
-        end += length(slot.route) - length(slot.assigned);
-    }
+    let end = slot.end_of_trip(&task.map).filter(|_| slot.status == Status::Active)?;
     let speed = slot.speed.max(task.scenario.vehicle.max_speed);
     let front = slot.s + slot.size[0] / 2.0;
     // A vehicle that SUMO drives may have gained some speed in the step.

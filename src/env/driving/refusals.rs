@@ -85,6 +85,51 @@ impl Task {
         Ok(refused)
     }
 
+    /// Returns what SUMO drops at the spawn places whose vehicles depart later than the episode or
+    /// at a speed, as texts: a vehicle departs alone from each of them, on each of its routes.
+    ///
+    /// # Errors
+    /// [`Error::Sumo`] if SUMO fails.
+    pub fn dropped_at_places(&self, hosting: &Hosting) -> Result<Vec<String>, Error> {
+        let failed = |source| Error::Sumo { world: 0, episode: 0, step: 0, source };
+        let later = self.places.iter().filter(|place| !place.departure.is_immediate());
+        let mut starts: Vec<(usize, f64, f64)> = Vec::new();
+        for place in later {
+            // Nearest to the junction, the vehicle has the shortest way to stop.
+            let pos = place.pos + self.scenario.jitter.longitudinal;
+            let speed = place.departure.depart_speed.min(self.scenario.vehicle.max_speed);
+            starts.extend(place.routes.iter().map(|&route| (route, pos, speed)));
+        }
+        if starts.is_empty() {
+            return Ok(Vec::new());
+        }
+        let config = self.simulation_config(0, 1, hosting);
+        let mut simulation = sumo::start(Backend::Traci, config).map_err(failed)?;
+        let mut dropped = Vec::new();
+        let (world, slot) = (0, 0);
+        for (route, pos, depart_speed) in starts {
+            let depart_pos =
+                self.map.routes[route].path.ahead(pos, self.scenario.vehicle.length / 2.0);
+            let vehicle_type = Task::type_of_kind(Driver::Agents, 0);
+            let add = Command::Add {
+                world,
+                slot,
+                route: route as u32,
+                vehicle_type,
+                depart_pos,
+                depart_speed,
+            };
+            simulation.send(&[Command::Remove { world, slot }, add]).map_err(failed)?;
+            if !simulation.receive().map_err(failed)?.dropped.is_empty() {
+                dropped.push(format!(
+                    "SUMO drops a vehicle that departs on route `{}` at {pos} m with {depart_speed} m/s",
+                    self.map.route_id(route)
+                ));
+            }
+        }
+        Ok(dropped)
+    }
+
     /// Returns the departures, as indices into those that SUMO knows, and the vehicle types with
     /// which departure number `planned` of the plan takes place: as background traffic, and as an
     /// agent that acts.

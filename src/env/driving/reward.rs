@@ -5,11 +5,7 @@ use super::collisions::Collisions;
 use super::surface::BESIDE;
 use super::task::{Driver, Task};
 use super::vehicle::tyres::Motion;
-use crate::scenario::Reward;
-
-/// Distance between a vehicle's side and the lane's border below which a vehicle that does not
-/// steer is off-road \[m\], as measured on the paper's simulator.
-const BORDER_MARGIN: f64 = 0.035;
+use crate::scenario::{Reward, Vehicle};
 
 /// The agents' rewards in an episode.
 #[derive(Debug, Clone)]
@@ -92,10 +88,13 @@ fn outcome(task: &Task, steers: bool, slot: &Slot, crashed: bool) -> Outcome {
         task.map.road().is_off_road(&slot.pose)
     } else {
         let lane = route.path.widths[slot.segment];
-        slot.lateral.abs() > ((lane - slot.size[1]) / 2.0 - BORDER_MARGIN).max(0.0)
+        slot.lateral.abs() > ((lane - slot.size[1]) / 2.0 - Vehicle::BORDER_MARGIN).max(0.0)
     };
     let finish = route.finish[0]..=route.finish[1];
-    let arrived = slot.s >= route.arrival && (!steers || finish.contains(&slot.lateral));
+    // An agent of a route file arrives where SUMO removes it, which puts it at the end of its route.
+    let is_of_file = slot.departure.is_some();
+    let arrival = if is_of_file { route.path.length() } else { route.arrival };
+    let arrived = slot.s >= arrival && (!steers || finish.contains(&slot.lateral));
     Outcome { arrived, crashed, out_of_road }
 }
 

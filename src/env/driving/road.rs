@@ -6,7 +6,7 @@ use std::collections::{BTreeSet, HashMap};
 use super::geometry::{Pose, Size, Stance, stretch};
 use super::surface::{BESIDE, End, LaneSegment, Point, draw_lines, lay_lanes};
 use crate::env::error::Error;
-use crate::scenario::{Border, Termination};
+use crate::scenario::{Border, Termination, Vehicle};
 use crate::sumo::net::Net;
 
 /// Side of the grid cells in which lines and lanes are looked up \[m\].
@@ -17,9 +17,8 @@ const BLOCK: f64 = 64.0;
 const PIECE: f64 = 32.0;
 /// Greatest total length of lanes and lines \[m\]; a longer net is an [`Error::Long`].
 const LONGEST: f64 = 5e6;
-/// Distance from which a vehicle's body touches a line \[m\], as measured on the paper's
-/// simulator.
-const TOUCH: f64 = 0.035;
+/// Distance from which a vehicle's body touches a line \[m\].
+const TOUCH: f64 = Vehicle::BORDER_MARGIN;
 
 #[derive(Debug, Clone, Default)]
 struct Cell {

@@ -95,6 +95,11 @@ impl Spawned {
         Self { active_agents: pending.len(), others, pending }
     }
 
+    /// Whether an agent that has not departed yet has this slot.
+    pub(super) fn is_reserved(&self, slot: usize) -> bool {
+        self.pending.iter().any(|agent| agent.slot == slot)
+    }
+
     /// Whether agents have yet to depart.
     pub(super) fn expects_agents(&self) -> bool {
         !self.pending.is_empty()

@@ -99,7 +99,7 @@ fn write_own(view: &View<'_>, w: &mut Writer<'_>) {
         sin,
         own.speed / SPEED,
         own.action,
-        (view.route().arrival - own.s) / view.scales().long,
+        (own.finish(view.map) - own.s) / view.scales().long,
         view.time_left,
     ]);
 }

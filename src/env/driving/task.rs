@@ -158,10 +158,17 @@ impl Task {
     pub(super) fn warn_of_dropped(&self, dropped: &Dropped) {
         let departures = &self.map.plan.departures;
         // The departures of agents come after those of the background traffic.
-        let index = (dropped.departure as usize).checked_rem(departures.len());
-        let Some(planned) = index.map(|index| &departures[index]) else { return };
-        let first = self.dropped.lock().is_ok_and(|mut known| known.insert(planned.source));
-        if first {
+        let index = dropped.departure.and_then(|at| (at as usize).checked_rem(departures.len()));
+        let planned = index.map(|index| &departures[index]);
+        // Spawn places count as one source, after those of the files.
+        let source = planned.map_or(usize::MAX, |planned| planned.source);
+        let first = self.dropped.lock().is_ok_and(|mut known| known.insert(source));
+        if first && planned.is_none() {
+            tracing::warn!(
+                "SUMO drops a vehicle of a spawn place when it departs, so that it never comes; `iwol scenario check` names the places"
+            );
+        }
+        if let Some(planned) = planned.filter(|_| first) {
             let source = &self.demand.sources[planned.source];
             let (element, name) = (source.element, source.name());
             let what = if dropped.drives {
@@ -363,6 +370,7 @@ impl Task {
             others: (self.others > 0 || self.changes_lanes()).then(|| self.road_users()),
             timeout: hosting.timeout,
             audit: hosting.audit,
+            waits: self.places.iter().any(|place| !place.departure.is_immediate()),
             traffic_lights: self.map.traffic_lights.lights.iter().map(|l| l.id.clone()).collect(),
             vehicle_types: own_types
                 .chain(kinds.map(|kind| VehicleType {

@@ -11,9 +11,9 @@ use super::signals::STANDING;
 use super::task::Task;
 use super::trip::Trip;
 
-/// An agent of a route file that is still on the road when an episode ends counts as one that did
-/// not arrive if it has been there for longer than this multiple of the time that its route takes
-/// at the speed limits. A younger agent is neither late nor in time and does not count.
+/// An agent of a route file counts if it came on the road longer before the end of the episode than
+/// this multiple of the time that its route takes at the speed limits, whatever becomes of it. Others
+/// may have no time to arrive, and enough to crash.
 const PATIENCE: f64 = 4.0;
 
 /// The trips of an episode.
@@ -133,7 +133,7 @@ impl Trips {
     ) -> Counts {
         let mut trips = self.all(steps, agents, loitering);
         let begun = trips.len();
-        trips.retain(|trip| !trip.unfinished || trip.is_late(task, steps));
+        trips.retain(|trip| trip.has_time(task, steps));
         let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
         let delays: Vec<f64> = trips.iter().filter_map(|trip| trip.delay.map(f64::from)).collect();
         let interval = task.scenario.control.interval;
@@ -188,12 +188,12 @@ impl Trips {
 }
 
 impl Trip {
-    /// Whether an agent on the road is late after `steps` steps. An agent that began at a spawn
-    /// place is late wherever it is.
-    fn is_late(&self, task: &Task, steps: u32) -> bool {
+    /// Whether an agent has had time to arrive in an episode of `steps` steps. Agents of spawn places
+    /// always have.
+    fn has_time(&self, task: &Task, steps: u32) -> bool {
         self.departure.is_none() || {
-            let age = f64::from(steps - self.entered) * task.scenario.control.interval;
-            age > PATIENCE * task.map.free_time[self.route]
+            let time = f64::from(steps - self.entered) * task.scenario.control.interval;
+            time > PATIENCE * task.map.free_time[self.route]
         }
     }
 }

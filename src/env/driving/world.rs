@@ -254,7 +254,7 @@ impl World {
                 motion::act(task, self.driver, world, actions, &mut slots[..task.agents], commands);
                 self.spawned.let_depart(task, self.driver, world, now, slots, commands);
                 if task.others > 0 {
-                    self.background.act(task, world, now, slots, commands);
+                    self.background.act(task, world, now, &self.spawned, slots, commands);
                 }
             }
         }
@@ -280,7 +280,7 @@ impl World {
         self.spawned.let_depart(task, driver, world, 0.0, slots, commands);
         if task.others > 0 {
             let seed = seed.child("traffic");
-            self.background.spawn(task, world, seed, &self.spawned.others, slots, commands);
+            self.background.spawn(task, world, seed, &self.spawned, slots, commands);
         }
         // With agents from route files, rewards are per slot.
         let shares = if task.has_flow() { task.agents } else { self.spawned.active_agents };

@@ -9,14 +9,15 @@ pub fn without_effect(
 ) -> impl Iterator<Item = (&'static str, &'static str, &'static str)> {
     let o = &s.observation;
     let follows = s.control.steering.is_none();
+    let unseen = follows && o.lidar.beams == 0 && o.borders == 0.0;
     let placeless = s.nets.iter().all(|net| net.spawns.is_empty());
     let all = s.everybody_is_nearest();
     let rules = [
         ("communication", "nearest", all, "there are never more other agents"),
         ("route", "offLane", follows, "vehicles do not steer"),
         ("reward", "laneKeeping", follows, "vehicles do not steer"),
-        ("termination", "border", follows, "vehicles do not steer"),
-        ("termination", "brokenLines", follows, "vehicles do not steer"),
+        ("termination", "border", unseen, "vehicles do not steer and observe no borders"),
+        ("termination", "brokenLines", unseen, "vehicles do not steer and observe no borders"),
         ("observation", "neighbourOrder", !o.groups.nearest(), "groups is `conflict`"),
         ("reward", "shareRange", s.reward.cooperation == 0.0, "cooperation is 0"),
         ("observation", "foresight", o.encounters == 0, "encounters is 0"),

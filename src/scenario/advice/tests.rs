@@ -2,6 +2,25 @@
 
 use super::*;
 
+/// Vehicles that observations were not made for are named.
+#[test]
+fn long_and_fast_vehicles_are_told() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(root.join("scenarios/flow_cross.xml")).unwrap();
+    let nets = root.join("sumo_nets");
+    let text = text.replace("../sumo_nets", nets.to_str().unwrap());
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("a.xml");
+    let kinds = |from: &str, to: &str| -> Vec<&'static str> {
+        std::fs::write(&file, text.replacen(from, to, 1)).unwrap();
+        let kinds = Scenario::check(&file).list.into_iter().map(|finding| finding.kind);
+        kinds.filter(|kind| ["long-vehicle", "fast-vehicle"].contains(kind)).collect()
+    };
+    assert!(kinds("length=", "length=").is_empty());
+    assert_eq!(kinds("length=\"4.515\"", "length=\"16.5\""), ["long-vehicle"]);
+    assert_eq!(kinds("maxSpeed=\"22.222\"", "maxSpeed=\"33\""), ["fast-vehicle"]);
+}
+
 #[test]
 fn attributes_that_others_make_ineffective_are_named() {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -21,9 +40,16 @@ fn attributes_that_others_make_ineffective_are_named() {
     assert!(idle(&text).is_empty());
     let expected = [
         "foresight of <observation> has no effect, because encounters is 0",
-        "border of <termination> has no effect, because vehicles do not steer",
+        "border of <termination> has no effect, because vehicles do not steer and observe no borders",
     ];
     assert_eq!(idle(&changed), expected);
+    // Lidar sees the border.
+    let seen = text.replacen("wreckTime=", "border=\"kerb\" wreckTime=", 1);
+    assert_eq!(idle(&seen).len(), 1);
+    assert!(
+        idle(&seen.replacen("conflictStreams=", "lidarBeams=\"16\" conflictStreams=", 1))
+            .is_empty()
+    );
     // Without cooperation, agents share nothing, near or far.
     let near = text.replacen("<reward ", "<reward shareRange=\"50\" ", 1);
     assert!(idle(&near).is_empty());

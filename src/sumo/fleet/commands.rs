@@ -69,7 +69,8 @@ impl Fleet {
                 let addition = addition(self.route(world, route)?, self.kind(vehicle_type)?, start);
                 batch.vehicle().add(&self.names[vehicle], &addition);
                 let departed = depart_pos;
-                self.next[vehicle] = Slot { known: true, departed, ..Slot::default() };
+                let entry = if self.config.waits { Entry::Awaited } else { Entry::Done };
+                self.next[vehicle] = Slot { known: true, departed, entry, ..Slot::default() };
             }
             Command::Depart { world, slot, departure: index, vehicle_type, until_from_now } => {
                 let vehicle = self.vacant(world, slot)?;

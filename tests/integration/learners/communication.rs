@@ -79,6 +79,32 @@ fn symbols_are_seen_a_step_later_and_within_range() {
     });
 }
 
+/// Agents that have just come have shown nothing, and do not dilute what others have shown.
+#[test]
+fn newcomers_show_no_symbol() {
+    each(|name, encoder| {
+        if algo::capabilities(name).expect("known").scope != CommunicationScope::InRangeNextStep {
+            return;
+        }
+        let learner = loud(name, &spec(3), &small(encoder));
+        let decide = |start: f64, comm: Tensor| -> Vec<f32> {
+            let input = observation(&*learner, noise(1, &[1, 3, 4]), comm);
+            let _ = input.start.get(0).get(2).fill_(start);
+            let action = learner.act(&input, &ActMode::Deterministic).action;
+            Vec::try_from(action.view([3])).expect("actions")
+        };
+        let apart = complete(1, 3);
+        let _ = apart.get(0).narrow(0, 0, 2).select(1, 2).fill_(0.0);
+        let (new, out_of_range) = (decide(1.0, complete(1, 3)), decide(1.0, apart));
+        assert_eq!(new[..2], out_of_range[..2], "{name} {encoder:?}");
+        assert_ne!(
+            new[..2],
+            decide(0.0, complete(1, 3))[..2],
+            "{name} {encoder:?}: it counts later"
+        );
+    });
+}
+
 /// A perfect channel changes nothing, a channel that loses every message leaves each agent with its
 /// own observation, and local policies are not affected by any channel.
 #[test]

@@ -63,6 +63,45 @@ fn decisions_and_graphs_are_those_of_all_pairs() {
     assert!(bool::try_from(changed.select(1, 9).any()).expect("a flag"), "neighbours hear it");
 }
 
+/// An update finds the policy that acted where graphs are sampled over lists of neighbours, some
+/// agents are absent, and some are there without acting, as in the row after the horizon.
+#[test]
+fn an_update_sees_the_policy_that_acted_over_lists() {
+    let settings = small(EncoderKind::Mlp);
+    let spec = EnvSpec { most_heard: Some(2), ..spec(AGENTS) };
+    let mut learner = loud("ex-iwol", &spec, &settings);
+    let mut rollout = rollout_with(&*learner, AGENTS, 3, true);
+    let s = rollout.sizes;
+    let mut idle = 0;
+    for t in 1..s.steps {
+        for e in 0..s.envs {
+            let (row, before) = (rollout.cell(t, e, 1), rollout.cell(t - 1, e, 1));
+            let mut there: Vec<bool> =
+                rollout.active[row.clone()].iter().map(|active| *active > 0.0).collect();
+            for i in 0..AGENTS {
+                if !there[i] && rollout.active[before.start + i] > 0.0 {
+                    rollout.terminated[before.start + i] = 0.0;
+                    rollout.truncated[before.start + i] = 1.0;
+                    there[i] = true;
+                    idle += 1;
+                }
+            }
+            let pairs = rollout.cell(t, e, AGENTS);
+            for (k, link) in rollout.comm[pairs].iter_mut().enumerate() {
+                let (i, j) = (k / AGENTS, k % AGENTS);
+                let heard = there[i] && there[j] && i.abs_diff(j) <= 1;
+                *link = f32::from(u8::from(heard));
+            }
+        }
+    }
+    assert!(idle > 20, "{idle}");
+    for (k, link) in rollout.comm.iter_mut().enumerate() {
+        *link *= f32::from(u8::from((k / AGENTS % AGENTS).abs_diff(k % AGENTS) <= 1));
+    }
+    updates::decide(&*learner, &mut rollout);
+    updates::nothing_moved("ex-iwol", EncoderKind::Mlp, &mut *learner, &rollout);
+}
+
 #[test]
 fn losses_and_gradients_are_those_of_all_pairs() {
     for name in ["ex-iwol", "im-iwol"] {

@@ -117,6 +117,15 @@ fn targets_of_world_decoders_lie_within_their_reach() {
         let expected = &state / Tensor::from_slice(&[1.0_f32, 4.0, 1.0]);
         assert!(world.target.equal(&expected), "{name}");
     }
+    // A feature without limits is not divided away.
+    for limit in [f32::MAX, f32::INFINITY] {
+        (spec.state.list[1].low, spec.state.list[1].high) = (-limit, limit);
+        let learner = build("im-iwol", &spec, &small(EncoderKind::Mlp), 1);
+        let input = observation(&*learner, noise(1, &[2, 4, 4]), complete(2, 4));
+        let state = noise(2, &[2, 4, 3]);
+        let told = learner.reconstruct(&input, &state);
+        assert!(told.iter().any(|told| told.name == "world" && told.target.equal(&state)));
+    }
 }
 
 /// Predictions of decoders that are not trained are not reported.

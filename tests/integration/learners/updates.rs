@@ -30,6 +30,47 @@ fn the_discount_of_the_settings_counts() {
     }
 }
 
+/// Agents learn from the advantages of others with the weight that the environment gives them, but
+/// for methods whose agents learn from the return of their team.
+#[test]
+fn the_advantages_of_others_count() {
+    for name in algo::NAMES {
+        let after = |cooperation: f64| {
+            let mut learner = loud(name, &spec(4), &small(EncoderKind::Mlp));
+            let rollout = Rollout { cooperation, ..random_rollout(&*learner, 4, 3) };
+            learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            bits(&*learner)
+        };
+        let team = algo::capabilities(name).expect("known").team;
+        assert_eq!(after(0.0) == after(0.5), team, "{name}");
+    }
+}
+
+/// Messages are targets of Im-IWoL's interaction decoder, whose loss does not change them.
+#[test]
+fn messages_do_not_learn_to_be_predicted() {
+    for name in ["im-iwol", "maddpg-iwol"] {
+        let after = |weight: f64| {
+            let mut settings = small(EncoderKind::Mlp);
+            (settings.iwol.lambda_interaction, settings.maddpg.updates) = (weight, 1);
+            let mut learner = loud(name, &spec(4), &settings);
+            let rollout = random_rollout(&*learner, 4, 3);
+            learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            let part = |group: &'static str| {
+                bits(&*learner)
+                    .into_iter()
+                    .filter(|(n, _)| n.starts_with(group))
+                    .collect::<Vec<_>>()
+            };
+            (part("critic/"), part("actor/"))
+        };
+        let (critic, actor) = after(0.0);
+        let (same, other) = after(5.0);
+        assert!(!critic.is_empty() && critic == same, "{name}: the messages' networks");
+        assert!(actor != other, "{name}: the policy's networks learn from it");
+    }
+}
+
 #[test]
 fn updates_are_deterministic_and_move_every_network() {
     each(|name, encoder| {
@@ -241,14 +282,14 @@ pub(super) fn decide(learner: &dyn Algorithm, rollout: &mut Rollout) {
         } else {
             Tensor::zeros([0], (Kind::Float, Device::Cpu))
         };
-        let eps = noise(50 + t as u64, &[e, n, 1]);
+        let eps = noise(50 + t as u64, &[e, n, s.actions as i64]);
         let correlated = !rollout.carried.is_empty();
-        let carried = if correlated { part(&rollout.carried, 1) } else { nothing() };
+        let carried = if correlated { part(&rollout.carried, s.actions) } else { nothing() };
         let fresh = rollout.log_fresh.get(t).map_or_else(Vec::new, |fresh| vec![*fresh]);
         let (action, graph, carried, log_fresh) = (eps, graph, carried, fresh);
         let decision = learner.act(&input, &ActMode::Sample { action, carried, graph, log_fresh });
         let numbers = |x: &Tensor| Vec::<f32>::try_from(x.reshape([-1])).expect("numbers");
-        let (cell, cells) = (rollout.at(t, 1), rollout.at(t, s.memory));
+        let (cell, cells) = (rollout.at(t, s.actions), rollout.at(t, s.memory));
         rollout.memory[cells].copy_from_slice(&numbers(&memory));
         rollout.action[cell.clone()].copy_from_slice(&numbers(&decision.action));
         rollout.log_prob[cell].copy_from_slice(&numbers(&decision.log_prob));
@@ -318,8 +359,8 @@ fn many_agents_learn_as_few_do() {
     });
 }
 
-/// Methods learn with two action dimensions, where one ratio per dimension is another loss than one
-/// ratio per action.
+/// Methods learn with two action dimensions. Where one has become more and the other less likely by
+/// as much, the ratio of the whole action is 1, and those of its dimensions are not.
 #[test]
 fn several_action_dimensions_are_learned_from() {
     for name in algo::NAMES {
@@ -327,7 +368,13 @@ fn several_action_dimensions_are_learned_from() {
             actions: ["steer", "throttle"].map(ActionDimension::named).to_vec().into(),
             ..spec(3)
         };
-        let mut learner = build(name, &spec, &small(EncoderKind::Mlp), 2);
+        let mut settings = small(EncoderKind::Mlp);
+        let on_policy = algo::capabilities(name).expect("known").on_policy;
+        if on_policy {
+            // All samples at once, so that the advantages have a mean of 0.
+            (settings.ppo.minibatch, settings.ppo.epochs) = (1_000_000, 1);
+        }
+        let mut learner = build(name, &spec, &settings, 2);
         let input = observation(&*learner, noise(1, &[2, 3, 4]), complete(2, 3));
         let decision = learner.act(&input, &ActMode::Deterministic);
         assert_eq!(
@@ -342,8 +389,19 @@ fn several_action_dimensions_are_learned_from() {
             ..rollout
         };
         rollout.sizes.actions = 2;
-        let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
-        assert!(losses.iter().all(|(_, value)| value.is_finite()), "{name}");
+        if !on_policy {
+            let losses = learner.update(&rollout, &PACE, Seed::new(4)).expect("finite");
+            assert!(losses.iter().all(|(_, value)| value.is_finite()), "{name}");
+            continue;
+        }
+        decide(&*learner, &mut rollout);
+        for (k, log_prob) in rollout.log_prob.iter_mut().enumerate() {
+            *log_prob += if k % 2 == 0 { -0.5 } else { 0.5 };
+        }
+        let losses = learner.update(&rollout, &STILL, Seed::new(4)).expect("finite");
+        let policy = reported(&losses, "loss/policy");
+        let by_dimension = ["mat", "commformer"].contains(&name);
+        assert_eq!(policy.abs() > 0.05, by_dimension, "{name}: {policy}");
     }
 }
 

@@ -72,6 +72,7 @@ fn config(slots: u32) -> SimulationConfig {
         slots,
         timeout: Duration::from_secs(60),
         audit: true,
+        waits: false,
         others: None,
         traffic_lights: Vec::new(),
         vehicle_types: vec![VehicleType {

@@ -52,7 +52,7 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     w.put([
         to_conflict / scales.far,
         to_conflict / scales.near,
-        (route.arrival - own.s) / scales.long,
+        (own.finish(view.map) - own.s) / scales.long,
         own.lateral / 1.75,
     ]);
     if settings.clock {
@@ -65,11 +65,6 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
     }
     if let Some((control, vehicle)) = view.abilities() {
         let hardest = control.brake.last().map_or(control.drag, |point| point.1);
-        w.put([
-            vehicle.length / 20.0,
-            vehicle.max_speed / SPEED,
-            control.accel / 5.0,
-            hardest / 15.0,
-        ]);
+        w.put([own.size[0] / 20.0, vehicle.max_speed / SPEED, control.accel / 5.0, hardest / 15.0]);
     }
 }

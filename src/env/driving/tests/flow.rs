@@ -1,6 +1,8 @@
 //! Tests of agents from route files in the fake simulator.
 
-use super::agents::Status;
+use super::agents::{Outcome, Slot, Status};
+use super::departure::Departure;
+use super::loitering::Loitering;
 use super::*;
 
 /// Returns `scenarios/flow_cross.xml` with this share of agents.
@@ -356,7 +358,41 @@ fn every_vehicle_of_the_plan_may_be_an_agent() {
     assert!(together > 5, "of three cars that depart together, some are agents: {together}");
 }
 
-/// An episode that ends before any agent arrives, fails or is late says nothing about success.
+/// Whether an agent counts does not depend on what becomes of it: agents crash sooner than they
+/// arrive, so that to count all crashes would make them too frequent.
+#[test]
+fn agents_that_come_too_late_to_arrive_do_not_count() {
+    let task = flow(4, 1.0, 600);
+    let free = task.map.free_time[task.map.plan.departures[0].route];
+    let interval = task.scenario.control.interval;
+    let mut trips = super::trips::Trips::default();
+    let mut end = |entered: f64, after: f64, crashed: bool| {
+        let slot = Slot {
+            entered: (entered / interval) as u32,
+            route: task.map.plan.departures[0].route,
+            departure: Some(Departure::default()),
+            outcome: Outcome { arrived: !crashed, crashed, out_of_road: false },
+            ..Slot::default()
+        };
+        trips.end(0, &slot, &Loitering::default(), ((entered + after) / interval) as u32);
+    };
+    // One vehicle a second; one in four crashes, after a third of the time of a route.
+    let horizon = 600.0 * interval;
+    for second in 0..horizon as u32 {
+        let (entered, crashed) = (f64::from(second), second % 4 == 0);
+        let after = if crashed { free / 3.0 } else { free * 1.5 };
+        if entered + after < horizon {
+            end(entered, after, crashed);
+        }
+    }
+    let counts = trips.counts(&task, 600, &[], &[]);
+    assert!(counts.count >= 12.0 && counts.count < counts.begun, "{}", counts.count);
+    let share = counts.crashed / counts.count;
+    assert!((share - 0.25).abs() < 0.05, "{share} of {}", counts.count);
+}
+
+/// An episode that ends before any agent that counts arrives, fails or is late says nothing about
+/// success.
 #[test]
 fn an_episode_without_an_agent_that_counts_is_undecided() {
     let record = |horizon: u32| {
