@@ -229,9 +229,9 @@ metrics! {
             "Agents that still wait for their departure at the end of an episode.";
         on_road: Option<Estimate> = |f| flow(f, LASTED, |f| f64::from(f.on_road)),
             "agents on the road", "agents", COUNT, Neither, InEvaluations,
-            "Agents on the road at the end of an episode. They count as not arrived if they have \
-             been there for more than four times the time of their route at the speed limits; otherwise \
-             they do not count.";
+            "Agents on the road at the end of an episode. They count as not arrived if they came \
+             longer before it than four times the time of their route at the speed limits; agents that \
+             came later do not count, whatever became of them.";
         speed: Option<Estimate> = |f| flow(f, LASTED, |f| f.speed),
             "speed of all vehicles", "speed of all vehicles (m/s)", SPEED, Higher, InFigures,
             "Mean speed of all vehicles on the road, agents and others. A wreck has the speed 0.";

@@ -122,8 +122,9 @@ impl<D: Decomposition> Icp<D> {
     /// count.
     fn heard(&self, memory: &Tensor, keep: &Tensor, comm: &Tensor) -> Tensor {
         let shown = memory.narrow(2, self.encoder.memory(), self.symbols) * keep.unsqueeze(-1);
-        // Those whose trajectory begins have shown nothing yet.
-        let others = (comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2)) * keep.unsqueeze(1);
+        // 1 for agents that have shown a symbol; those whose trajectory begins have not.
+        let speaks = shown.amax([-1], false).unsqueeze(1);
+        let others = (comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2)) * speaks;
         let count = others.sum_dim_intlist(-1, true, Kind::Float).clamp_min(1.0);
         let all = Tensor::eye(self.symbols, (Kind::Float, memory.device()));
         (others / count).matmul(&shown).matmul(&self.decoder.forward(&all).detach())

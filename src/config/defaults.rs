@@ -65,7 +65,7 @@ impl Values {
         let rule = Origin::Rule;
         values.follow(&rule("number of agents"), |config| config.follow_agents(agents, steers));
         if file.is_some_and(|file| file.scenario.agents.come_from_files()) {
-            // A vehicle that is on the road at the horizon of an open-ended flow is not late.
+            // The horizon of an open-ended flow is no deadline.
             values.follow(&rule("agents from route files"), |config| {
                 config.train.bootstrap_horizon = true;
             });

@@ -47,8 +47,7 @@ fn intervals_contain_only_possible_numbers() {
     assert_eq!(SUCCESS.possible(unknown), unknown);
 }
 
-/// An episode in which all agents are still on the road and none is late says nothing about their
-/// success.
+/// An episode whose agents all came too late to count says nothing about their success.
 #[test]
 fn shares_of_agents_are_over_the_episodes_in_which_agents_count() {
     let episode = |undecided: bool, success: f64| {

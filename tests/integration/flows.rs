@@ -75,7 +75,10 @@ fn flows_are_the_same_on_both_backends_and_after_a_restart() {
 /// SUMO drives the same vehicles of the same episodes, and their sizes are those of their types.
 #[test]
 fn sumo_drives_the_same_demand() {
-    let task = task("flow_merge", 24);
+    let mut scenario = shipped("flow_merge");
+    // Long enough for agents that count.
+    (scenario.traffic.penetration, scenario.termination.horizon) = (1.0, 1500);
+    let task = Arc::new(Task::new(&scenario, 24).expect("a task"));
     let departed = |policy: Policy<'_>| -> Vec<u32> {
         let evaluation = play(&task, &policy, 4, Seed::new(0));
         let flows = evaluation.episodes.iter().map(|record| record.driving().flow.expect("a flow"));

@@ -252,8 +252,11 @@ fn published_values_stand_beside_a_series_that_exists() {
 #[test]
 fn comparisons_are_made_as_the_file_names_them() {
     let folder = folder();
+    let few = "seed = [0, 1, 2]";
+    let five = "seed = [0, 1, 2, 3, 4]";
+    let file = FILE.replace(few, five).replace("seed = [1, 2]", "seed = [1, 2, 3, 4]");
     let text = format!(
-        r#"{FILE}
+        r#"{file}
 [[contrast]]
 title = "Im-IWoL against MAPPO among 4"
 metric = "success"
@@ -302,17 +305,26 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     let tables = tables(&markdown);
     let table = tables.iter().find(|table| table[0][0] == "comparison").expect("a table");
     let [_, first, second, third, sooner, lacking] = &table[..] else { panic!("{table:?}") };
-    assert_eq!(lacking[2..], ["3 (1 without a value), 3", "–", "–", "–"]);
+    assert_eq!(lacking[2..], ["5 (1 without a value), 5", "–", "–", "–"]);
     // Holm's correction is for all five, made or not.
     assert_eq!(first[5], "0.005", "{first:?}");
-    assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "3, 3"], "{first:?}");
+    assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "5, 5"], "{first:?}");
     assert!(first[3].starts_with("30.0 [28") && first[4] == "< 0.001", "{first:?}");
-    assert!(second[3].starts_with("20.0 [1") && second[2] == "3, 3, 3, 3", "{second:?}");
-    assert_eq!(third[2..], ["1, 3", "–", "–", "–"]);
+    assert!(second[3].starts_with("20.0 [1") && second[2] == "5, 5, 5, 5", "{second:?}");
+    assert_eq!(third[2..], ["1, 5", "–", "–", "–"]);
     assert!(
         sooner[1] == "success % over training" && sooner[3].starts_with("15.0 [14"),
         "{sooner:?}"
     );
+
+    // With three seeds there is a difference, and no p-value.
+    let small = folder.path().join("small");
+    let three = text.replace(five, few).replace("seed = [1, 2, 3, 4]", "seed = [1, 2]");
+    let sweep = Sweep::parse(&three, "s.toml", "s", &small).expect("a sweep");
+    results(&sweep, success, |_| Value::Null);
+    let (markdown, _) = report(&sweep, &small);
+    let row = markdown.lines().find(|line| line.contains("Im-IWoL against MAPPO")).expect("a row");
+    assert!(row.contains("| 3, 3 | 30.0 [") && row.ends_with("| – | – |"), "{row}");
 
     let wrong = |from: &str, to: &str| {
         let text = text.replace(from, to);

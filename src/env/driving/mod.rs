@@ -13,6 +13,7 @@ mod detour;
 mod effects;
 
 mod failures;
+mod finish;
 mod foresight;
 mod forks;
 mod frame;

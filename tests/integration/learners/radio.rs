@@ -76,10 +76,13 @@ fn training_hears_what_an_evaluation_hears() {
                     Observation { comm: arrived.shallow_clone(), ..input(&memory) }
                 };
                 let cut = Observation { comm: arrived, ..input(&zeros(&[2, AGENTS, 0])) };
-                let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
-                let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
-                let mode = ActMode::Sample { action, carried, graph, log_fresh: Vec::new() };
-                let trained = learner.act(&explored, &mode);
+                let mode = |edges: f64| {
+                    let (action, carried) = (zeros(&[2, AGENTS, 1]), nothing());
+                    let graph = zeros(&[2, AGENTS, learner.graph_noise(AGENTS as usize) as i64]);
+                    let graph = graph + edges;
+                    ActMode::Sample { action, carried, graph, log_fresh: Vec::new() }
+                };
+                let trained = learner.act(&explored, &mode(0.0));
                 let noise = ChannelNoise {
                     lost,
                     falsified: zeros(&[2, AGENTS, AGENTS]),
@@ -93,8 +96,10 @@ fn training_hears_what_an_evaluation_hears() {
                     "{name} {channel:?}, decision {t}"
                 );
                 silence += apart(&trained.action, &plain.action);
-                let cut = masked.act(&cut, &ActMode::Deterministic);
-                passed_on += apart(&trained.action, &cut.action);
+                // With all edges open, agents pass on what they hear.
+                let [open, cut] = [(&learner, &explored), (&masked, &cut)]
+                    .map(|(learner, input)| learner.act(input, &mode(1e4)).action);
+                passed_on += apart(&open, &cut);
                 (memory, heard) = (trained.memory, used.memory);
             }
             assert!(silence > 1e-3, "{name} {channel:?}: the channel changes something");
