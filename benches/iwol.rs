@@ -167,7 +167,7 @@ fn act(c: &mut Criterion) {
             comm: zeros(&[worlds, agents, agents]) + 1.0,
             start: zeros(&[worlds, agents]),
             memory: zeros(&[worlds, agents, learner.memory() as i64]),
-            replaced: zeros(&[0]),
+            disturbance: zeros(&[0]),
             available: zeros(&[0]),
         };
         c.bench_function(&format!("act/{name}"), |b| {

@@ -182,7 +182,7 @@ mod tests {
             ..Slot::default()
         };
         // Their boxes overlap while both centres are within this distance of the crossing.
-        let reach = (4.5 + 1.8) / 2.0;
+        let reach = f64::midpoint(4.5, 1.8);
         for length in [2.0, 4.4, 10.0, 44.0, 220.0] {
             for late in [0.0, 1.0, 3.0, 5.0, 7.0] {
                 let east = |x: f64| Pose { x, y: 0.0, heading: 0.0 };
@@ -191,7 +191,7 @@ mod tests {
                 let own = slot(east(from), east(to));
                 let other = slot(north(from - late), north(to - late));
                 let overlap = to.min(reach) - from.max(late - reach);
-                if overlap < 0.0 || overlap > SPACING / 2.0 {
+                if !(0.0..=SPACING / 2.0).contains(&overlap) {
                     assert_eq!(
                         overlap_in_step(&own, &other),
                         overlap > 0.0,

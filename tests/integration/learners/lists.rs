@@ -78,11 +78,10 @@ fn an_update_sees_the_policy_that_acted_over_lists() {
             let (row, before) = (rollout.cell(t, e, 1), rollout.cell(t - 1, e, 1));
             let mut there: Vec<bool> =
                 rollout.active[row.clone()].iter().map(|active| *active > 0.0).collect();
-            for i in 0..AGENTS {
-                if !there[i] && rollout.active[before.start + i] > 0.0 {
-                    rollout.terminated[before.start + i] = 0.0;
-                    rollout.truncated[before.start + i] = 1.0;
-                    there[i] = true;
+            for (there, at) in there.iter_mut().zip(before) {
+                if !*there && rollout.active[at] > 0.0 {
+                    (rollout.terminated[at], rollout.truncated[at]) = (0.0, 1.0);
+                    *there = true;
                     idle += 1;
                 }
             }
