@@ -143,6 +143,14 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
     }
+    for (flag, path) in [("out", &args.out), ("record", &args.record)] {
+        if let Some(path) = path.as_ref().filter(|path| record::is_other_than_json(path)) {
+            bail!(
+                "--{flag} {}: the file exists and is not JSON, so that it is no earlier result; choose another file",
+                path.display()
+            );
+        }
+    }
     if let (Some(path), Some(record)) = (&args.out, &args.record)
         && record::is_same_file(path, record)
     {

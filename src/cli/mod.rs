@@ -105,6 +105,7 @@ const INTERRUPTED: u8 = 130;
 /// methods (`algo::register`) and then calls this function has the verbs for them, but for `bench`,
 /// which is for scenarios, and for ONNX and PyTorch models of registered methods.
 pub fn main() -> ExitCode {
+    ignore_file_limit();
     let cli = Cli::parse();
     let level = match cli.verbose {
         0 => tracing::Level::WARN,
@@ -166,7 +167,9 @@ fn hint_of_path(error: &anyhow::Error) -> Option<String> {
     let missing = |e: &std::io::Error| e.kind() == std::io::ErrorKind::NotFound;
     error.chain().find(|cause| cause.downcast_ref().is_some_and(missing))?;
     let text = chain(error.as_ref());
-    std::env::args().skip(2).find_map(|argument| {
+    let mut arguments =
+        std::env::args_os().skip(2).filter_map(|argument| argument.into_string().ok());
+    arguments.find_map(|argument| {
         // A path is an argument of its own or the value of a setting, as in `--set scenario=FILE`.
         let path = argument.rsplit('=').next().filter(|path| text.contains(path))?;
         let near = crate::suggest::nearest_path(std::path::Path::new(path))?;
@@ -237,6 +240,14 @@ fn hangup_is_ignored() -> bool {
         now.assume_init()
     };
     now.sa_sigaction == libc::SIG_IGN
+}
+
+/// Lets a write beyond the largest size of a file (`ulimit -f`) fail, as on a full disk, instead of
+/// ending the program without a word.
+#[allow(unsafe_code, reason = "std cannot ignore a signal")]
+fn ignore_file_limit() {
+    // SAFETY: ignoring a signal needs no handler.
+    unsafe { libc::signal(libc::SIGXFSZ, libc::SIG_IGN) };
 }
 
 #[allow(unsafe_code, reason = "std cannot ignore a signal")]

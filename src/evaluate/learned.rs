@@ -91,6 +91,10 @@ impl Actor for LearnedActor<'_> {
         for e in 0..worlds.count() {
             let view = worlds.view(e);
             episodes[e] = view.episode;
+            if view.step == 0 {
+                // An episode that SUMO's death has ended is played again.
+                self.sent.remove(&view.episode);
+            }
             sources[e] = self.seed.index(view.episode).index(u64::from(view.step));
         }
         store_frames(worlds, &mut self.frames, 0);

@@ -42,7 +42,7 @@ pub enum Error {
     },
     /// A complete line of a JSON-lines file is not valid: the file was edited, or is another kind
     /// of file.
-    #[error("line {line} of `{}` is damaged; delete the line, or move the file away", path.display())]
+    #[error("line {line} of `{}` is damaged; delete the line", path.display())]
     Line {
         /// The file.
         path: PathBuf,
@@ -95,6 +95,13 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
         return Err(Error::io("write", path)(io::ErrorKind::IsADirectory.into()));
     }
     if is_stream(path) { Ok(()) } else { temporary_beside(path).map(drop) }
+}
+
+/// Returns whether `path` is a file with something else than a JSON object in it.
+pub fn is_other_than_json(path: &Path) -> bool {
+    let mut first = [0; 1];
+    let read = File::open(path).and_then(|mut file| io::Read::read(&mut file, &mut first));
+    path.is_file() && read.is_ok_and(|count| count == 1) && first != *b"{"
 }
 
 /// Returns whether two paths are those of one file, which need not exist.

@@ -113,6 +113,17 @@ fn a_mistyped_path_is_told_the_nearest() {
     "#);
 }
 
+/// A path that is no UTF-8 is an error like any other.
+#[test]
+fn a_path_of_other_bytes_is_missing_like_any_other() {
+    use std::os::unix::ffi::OsStrExt as _;
+    let mut command = iwol(&["evaluate"]);
+    let output = command.arg(std::ffi::OsStr::from_bytes(b"nope\xff")).output().expect("it ran");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{said}");
+    assert!(said.contains("cannot read the checkpoint") && !said.contains("panicked"), "{said}");
+}
+
 #[test]
 fn a_missing_sumo_is_named() {
     let mut command = iwol(&["evaluate", "--scenario", SCENARIO, "--policy", "sumo"]);

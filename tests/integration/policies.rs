@@ -102,6 +102,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             "--set",
             "scenario.observation.ownTurn=true",
         ];
+        std::fs::write(at("a.toml"), "steps = 1\n").expect("written");
         let refusals = [
             (
                 refused(&mut train(Path::new(&small), &["--algorithm", algorithm])),
@@ -174,6 +175,10 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
                     &name("x"),
                 ])),
                 "choose two different files",
+            ),
+            (
+                refused(iwol(&["evaluate", &small, "--out"]).arg(at("a.toml"))),
+                "the file exists and is not JSON",
             ),
             (
                 refused(&mut iwol(&["evaluate", &small, "--set", "network.hidden=16"])),
