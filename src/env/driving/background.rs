@@ -159,9 +159,9 @@ impl Background {
     }
 
     /// Lets the vehicles depart whose time has come: those at spawn places, and those of the route
-    /// files as long as slots are free and not reserved; the others wait. Those that have waited longest depart
-    /// first, in steps for background traffic and in seconds for agents, so that no flow gets every
-    /// slot that becomes free.
+    /// files as long as slots are free and not reserved; the others wait. Those that have waited
+    /// longest depart first, in steps for background traffic and in seconds for agents, so that no
+    /// flow gets every slot that becomes free.
     fn let_depart(
         &mut self,
         task: &Task,

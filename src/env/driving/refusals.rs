@@ -85,8 +85,8 @@ impl Task {
         Ok(refused)
     }
 
-    /// Returns what SUMO drops at the spawn places whose vehicles depart later than the episode or
-    /// at a speed, as texts: a vehicle departs alone from each of them, on each of its routes.
+    /// Returns what SUMO drops at the spawn places whose vehicles do not begin with the episode,
+    /// standing still, as texts: a vehicle departs alone from each of them, on each of its routes.
     ///
     /// # Errors
     /// [`Error::Sumo`] if SUMO fails.

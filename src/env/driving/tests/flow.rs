@@ -391,8 +391,7 @@ fn agents_that_come_too_late_to_arrive_do_not_count() {
     assert!((share - 0.25).abs() < 0.05, "{share} of {}", counts.count);
 }
 
-/// An episode that ends before any agent that counts arrives, fails or is late says nothing about
-/// success.
+/// An episode whose agents all came too late to count says nothing about success.
 #[test]
 fn an_episode_without_an_agent_that_counts_is_undecided() {
     let record = |horizon: u32| {
