@@ -97,11 +97,12 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
     if is_stream(path) { Ok(()) } else { temporary_beside(path).map(drop) }
 }
 
-/// Returns whether `path` is a file with something else than a JSON object in it.
+/// Returns whether `path` is a file with something else than JSON in it.
 pub fn is_other_than_json(path: &Path) -> bool {
-    let mut first = [0; 1];
-    let read = File::open(path).and_then(|mut file| io::Read::read(&mut file, &mut first));
-    path.is_file() && read.is_ok_and(|count| count == 1) && first != *b"{"
+    let is_empty = || path.metadata().is_ok_and(|found| found.len() == 0);
+    let Ok(file) = File::open(path) else { return false };
+    let read = || serde_json::from_reader::<_, serde::de::IgnoredAny>(io::BufReader::new(file));
+    path.is_file() && !is_empty() && read().is_err()
 }
 
 /// Returns whether two paths are those of one file, which need not exist.
@@ -194,6 +195,21 @@ mod tests {
     use std::fs;
 
     use super::*;
+
+    /// Results of one policy are an object, those of several a list. What a user has written is
+    /// neither, even where it begins alike.
+    #[test]
+    fn results_are_told_from_other_files() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a");
+        let other = |text: &str| {
+            std::fs::write(&file, text).unwrap();
+            is_other_than_json(&file)
+        };
+        assert!(!other("{\"episodes\": 1}") && !other("[{\"episodes\": 1}]\n") && !other(""));
+        assert!(other("[grid]\nseed = [1]") && other("<scenario/>") && other("steps = 1"));
+        assert!(!is_other_than_json(&folder.path().join("none")));
+    }
 
     fn names(folder: &Path) -> Vec<String> {
         fs::read_dir(folder)
