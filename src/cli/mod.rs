@@ -43,7 +43,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(not(feature = "learn"))]
 #[allow(clippy::wildcard_imports, reason = "in place of the modules that are left out")]
 use absent::*;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, FromArgMatches as _, Parser, Subcommand};
 
 use crate::{env, scenario as scenarios, sumo};
 
@@ -106,7 +106,8 @@ const INTERRUPTED: u8 = 130;
 /// which is for scenarios, and for ONNX and PyTorch models of registered methods.
 pub fn main() -> ExitCode {
     ignore_file_limit();
-    let cli = Cli::parse();
+    let matches = with_negative_numbers(Cli::command()).get_matches();
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let level = match cli.verbose {
         0 => tracing::Level::WARN,
         1 => tracing::Level::INFO,
@@ -159,6 +160,16 @@ pub fn main() -> ExitCode {
             ExitCode::from(2)
         }
     }
+}
+
+/// Lets the options of a command and of its subcommands take negative numbers, so that an error says
+/// which values are allowed. Otherwise `-3` counts as an unknown option.
+fn with_negative_numbers(command: clap::Command) -> clap::Command {
+    let takes = |arg: clap::Arg| {
+        let takes_value = arg.get_action().takes_values();
+        arg.allow_negative_numbers(takes_value)
+    };
+    command.mut_args(takes).mut_subcommands(with_negative_numbers)
 }
 
 /// Returns the path that an argument of the command line was most likely meant to be, if the error is

@@ -12,6 +12,7 @@ use crate::metrics::{self, EvaluationResult, SUCCESS, Shown};
 use crate::plot::{Format, Panel, Series, figure};
 use crate::record;
 use crate::train::RunDir;
+use crate::words::counted;
 
 use super::Verdict;
 
@@ -58,6 +59,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let out = if out.is_dir() { out.join("learning_curve.png") } else { out.clone() };
     Format::of(&out).context("--out")?;
     let references = args.reference.as_deref().map(references).transpose()?.unwrap_or_default();
+    for line in references.iter().filter_map(|(path, result)| other_task(&groups, path, result)) {
+        say!("{line}");
+    }
     // The safety panel of a single run is left out, because it nearly repeats the success panel.
     let metrics =
         metrics::shown(Shown::Everywhere).filter(|metric| !alone || metric.id != "safety");
@@ -223,6 +227,25 @@ fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
         );
     }
     Ok(untrained)
+}
+
+/// Says which run a result cannot be compared with, because it is of another task; `None` if there is
+/// no such run.
+fn other_task(groups: &[Group], path: &Path, result: &EvaluationResult) -> Option<String> {
+    let is_other = |group: &&Group| {
+        let agents = group.settings.get("agents").and_then(toml::Value::as_integer);
+        let trained = RunDir::new(&group.folder).fingerprint();
+        agents.is_some_and(|agents| agents != i64::from(result.agents))
+            || (trained.is_some() && result.fingerprint.is_some() && trained != result.fingerprint)
+    };
+    let group = groups.iter().find(is_other)?;
+    let agents = counted(result.agents, "agent");
+    Some(format!(
+        "`{}` is a result on {} with {agents}, which is not the task of `{}`",
+        path.display(),
+        result.scenario,
+        group.folder.display()
+    ))
 }
 
 #[cfg(test)]

@@ -127,11 +127,17 @@ impl Layers {
             return Ok(Resolution { config, place, origins, replaced: Vec::new(), profile });
         }
         // The scenario gives its own values and the default number of agents.
-        let path = self.look_up(parsed.get_ref(), "scenario.file");
-        let path = path.and_then(|path| path.as_str().map(str::to_owned));
-        let Some(path) = path else {
-            let unknown = unknown_key(parsed.get_ref(), "", document);
-            return Err(unknown.unwrap_or(Error::NoScenario));
+        let path = match self.look_up(parsed.get_ref(), "scenario.file") {
+            Some(Value::String(path)) => path,
+            Some(other) => {
+                let (place, key) = (self.place_of("scenario.file"), "scenario".to_owned());
+                let message = format!("{other} is no path of a scenario file");
+                return Err(Error::Value { place, key, message });
+            }
+            None => {
+                let unknown = unknown_key(parsed.get_ref(), "", document);
+                return Err(unknown.unwrap_or(Error::NoScenario));
+            }
         };
         let file = ScenarioFile::read(Path::new(&path))?;
         let (config, origins) = self.settings(parsed.get_ref(), Setting::Scenario(&file))?;

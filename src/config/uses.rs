@@ -76,18 +76,25 @@ pub fn idle(set: &str, scenario: &Scenario) -> Option<&'static str> {
 
 /// Returns which options of the command line have no effect on the resolved settings, each with the
 /// reason: a preset or profile whose settings are all given elsewhere, such as in the file of a run,
-/// and a `--set` of what another option says.
+/// and a `--set` of what another option or a later `--set` says.
 pub fn overruled(layers: &Layers, origins: &Origins) -> Vec<String> {
     let flags = layers.flags.iter().filter_map(|(key, value)| {
         let name = value.as_str()?;
-        Some((format!("--{key} {name}"), *key, name))
+        Some((format!("--{key} {name}"), *key, name, None))
     });
-    let sets = layers.sets.iter().filter_map(|set| {
+    let sets = layers.sets.iter().enumerate().filter_map(|(i, set)| {
         let (key, value) = set.split_once('=')?;
-        Some((format!("--set {set}"), key.trim(), value.trim()))
+        let key = key.trim();
+        let same = |own: &str| full_name(own.trim()) == full_name(key);
+        let flag = layers.flags.iter().find(|(own, _)| same(own));
+        let flag = flag.map(|(own, _)| format!("--{}", own.rsplit('.').next().unwrap_or(own)));
+        let mut later = layers.sets[i + 1..].iter();
+        let last = later.rfind(|set| set.split_once('=').is_some_and(|(own, _)| same(own)));
+        let stronger = flag.or_else(|| last.map(|set| format!("--set {set}")));
+        Some((format!("--set {set}"), key, value.trim(), stronger))
     });
     let mut lines = Vec::new();
-    for (option, key, name) in flags.chain(sets) {
+    for (option, key, name, stronger) in flags.chain(sets) {
         let is_given = |key: &str| matches!(origins.get(key), Some(Origin::Given(_)));
         let all_given = match key {
             "preset" => Preset::named(name)
@@ -95,10 +102,8 @@ pub fn overruled(layers: &Layers, origins: &Origins) -> Vec<String> {
             "profile" => Profile::SETTINGS.iter().all(|key| is_given(key)),
             _ => false,
         };
-        let flag = layers.flags.iter().find(|(own, _)| full_name(own) == full_name(key));
-        if let Some((flag, _)) = flag.filter(|_| option.starts_with("--set ")) {
-            let flag = flag.rsplit('.').next().unwrap_or(flag);
-            lines.push(format!("{option} has no effect: --{flag} is given, too"));
+        if let Some(stronger) = stronger {
+            lines.push(format!("{option} has no effect: {stronger} is given, too"));
         } else if all_given {
             let file = &layers.document.name;
             lines.push(format!("{option} has no effect: {file} gives all of its settings"));

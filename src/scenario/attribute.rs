@@ -22,6 +22,16 @@ pub(super) trait Value: Sized {
     fn missing() -> Option<Self> {
         None
     }
+
+    /// Returns the value of an item of a list, whose items are separated by spaces.
+    fn item(text: &str) -> Option<Self> {
+        Self::parse(text)
+    }
+
+    /// Returns the text as an item of a list.
+    fn item_text(&self) -> Option<String> {
+        self.text()
+    }
 }
 
 /// A field of an element: an attribute, or several.
@@ -140,7 +150,22 @@ impl Value for PathBuf {
     fn text(&self) -> Option<String> {
         Some(self.to_string_lossy().into_owned())
     }
+
+    fn item(text: &str) -> Option<Self> {
+        let replace = |text: String, (of, code): &(char, &str)| text.replace(code, &of.to_string());
+        Some(ESCAPED.iter().rev().fold(text.to_owned(), replace).into())
+    }
+
+    fn item_text(&self) -> Option<String> {
+        let replace = |text: String, (of, code): &(char, &str)| text.replace(*of, code);
+        Some(ESCAPED.iter().fold(self.to_string_lossy().into_owned(), replace))
+    }
 }
+
+/// What a path in a list cannot contain, and how it is written, as in a URI. The percent sign comes
+/// first, because the others contain it.
+const ESCAPED: [(char, &str); 6] =
+    [('%', "%25"), (' ', "%20"), ('\t', "%09"), ('\n', "%0A"), (',', "%2C"), (';', "%3B")];
 
 /// A point of the braking curve, as `magnitude:deceleration`.
 impl Value for (f64, f64) {
@@ -156,11 +181,11 @@ impl Value for (f64, f64) {
 
 impl<T: Value> Value for Vec<T> {
     fn parse(text: &str) -> Option<Self> {
-        text.split_whitespace().map(T::parse).collect()
+        text.split_whitespace().map(T::item).collect()
     }
 
     fn text(&self) -> Option<String> {
-        let texts: Vec<String> = self.iter().filter_map(T::text).collect();
+        let texts: Vec<String> = self.iter().filter_map(T::item_text).collect();
         (!texts.is_empty()).then(|| texts.join(" "))
     }
 

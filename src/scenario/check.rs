@@ -118,7 +118,7 @@ fn demand(scenario: &Scenario, reader: &Reader) -> Result<Demand, Error> {
         Error::Read { path, source } => refuse(
             "files",
             &path.to_string_lossy(),
-            format!("route files that can be read ({source})"),
+            format!("route files that can be read ({source}); a space in a path is written %20"),
         ),
         other => other,
     })?;

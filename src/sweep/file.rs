@@ -67,6 +67,7 @@ impl File {
         if let Ok(own) = toml::from_str::<Self>(text) {
             let lists = [own.rule.is_empty(), own.skip.is_empty(), own.evaluate.is_empty()];
             parsed.inherited = lists.map(|empty| empty && own.base.is_some());
+            own.check_settings().map_err(|message| wrong(file, message))?;
         }
         if parsed.evaluate.is_empty() {
             parsed.evaluate.push(toml::from_str("").expect("everything has a default"));
@@ -79,6 +80,17 @@ impl File {
             .and_then(|()| parsed.contrast.iter().try_for_each(|c| c.check(&parsed.evaluate)));
         checked.map_err(|message| wrong(file, message))?;
         Ok(parsed)
+    }
+
+    /// Checks that no setting of this file alone is a key of its grid as well: the cells would have
+    /// the values of the grid.
+    fn check_settings(&self) -> Result<(), String> {
+        let twice = flatten(&self.settings).into_keys().find(|key| self.varies(key));
+        twice.map_or(Ok(()), |key| {
+            Err(format!(
+                "[settings] {key} has no effect, because each cell has the value of the grid; remove {key} from [settings] or from [grid]"
+            ))
+        })
     }
 
     fn check_grid(&self) -> Result<(), String> {
@@ -191,7 +203,17 @@ impl File {
     }
 
     fn check_references(&self) -> Result<(), String> {
-        for Reference { label, metric, x, y, evaluate, .. } in &self.reference {
+        for (i, reference) in self.reference.iter().enumerate() {
+            let Reference { label, beside, metric, x, y, evaluate } = reference;
+            let is_same = |other: &Reference| {
+                (&other.label, &other.beside, &other.metric, &other.evaluate)
+                    == (label, beside, metric, evaluate)
+            };
+            if y.is_empty() || self.reference[..i].iter().any(is_same) {
+                return Err(format!(
+                    "[[reference]] `{label}`: give its values of {metric} in one entry, with at least one y"
+                ));
+            }
             let named = |name: &String| self.evaluate.iter().find(|e| e.name == *name);
             let of = evaluate.as_ref().map_or(self.evaluate.first(), named);
             let known = of.is_some();

@@ -222,6 +222,21 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
     assert!(svg.starts_with("<svg ") && svg.contains("environment steps"), "{svg}");
     let found = refused(&mut iwol(&["plot", &name("mappo_0"), "--out", &name("curve.pdf")]));
     assert!(found.contains("curve.pdf") && found.contains(".png or .svg"), "{found}");
+    // A line of another task is drawn, and the user is told.
+    let reference = name("throttle.json");
+    for (agents, is_told) in [("4", false), ("8", true)] {
+        let rule = ["evaluate", "--policy", "throttle:0.2", "--scenario", support::INTERSECTION];
+        let more = ["--agents", agents, "--episodes", "1", "--out", &reference];
+        text(&mut iwol(&[&rule[..], &more].concat()));
+        let drawing =
+            ["plot", &name("mappo_0"), "--reference", &reference, "--out", &name("curve.svg")];
+        let said = support::text(&succeeds(&mut iwol(&drawing)).stderr);
+        assert_eq!(
+            said.contains("is a result on intersection with 8 agents, which is not"),
+            is_told,
+            "{said}"
+        );
+    }
     // A run that a report kept contains only its settings and validations.
     let kept = at("kept");
     fs::create_dir(&kept).expect("a folder");

@@ -473,7 +473,7 @@ prop_compose! {
             traffic: Traffic {
                 penetration: share.max(0.01),
                 kind: (counts[0] > 8).then(|| "some type".into()),
-                files: ["a.rou.xml", "b/c.xml"].iter().take(1 + counts[1] % 2).map(|file| format!("some/folder/{file}").into()).collect(),
+                files: ["a b%20,c;d.rou.xml", "b/c.xml"].iter().take(1 + counts[1] % 2).map(|file| format!("some/folder/{file}").into()).collect(),
                 capacity: 1 + counts[2] as u32,
                 begin: FileTime(if counts[0] > 4 { p[9] } else { 0.0 }),
                 strict: counts[1] % 2 == 0,

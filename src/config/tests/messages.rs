@@ -172,4 +172,8 @@ fn without_a_scenario_an_unknown_key_is_named() {
         "c.toml:2:1: there is no setting `ppo.gama`; did you mean `ppo.gamma`?"
     );
     assert_eq!(message("[po]\ngamma = 1\n"), "c.toml:1:2: there is no setting `po`");
+    assert_eq!(
+        message("scenario = 3\n"),
+        "c.toml: bad value for `scenario`: 3 is no path of a scenario file"
+    );
 }

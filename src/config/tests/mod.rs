@@ -297,6 +297,13 @@ fn options_without_effect_are_told() {
         told("", &["algorithm=mat", "seed=3"], &[("algorithm", "mappo")]),
         ["--set algorithm=mat has no effect: --algorithm is given, too"]
     );
+    assert_eq!(
+        told("", &["ppo.gamma=0.9", "seed=3", "ppo.gamma = 0.8", "ppo.gamma=0.7"], &[]),
+        [
+            "--set ppo.gamma=0.9 has no effect: --set ppo.gamma=0.7 is given, too",
+            "--set ppo.gamma = 0.8 has no effect: --set ppo.gamma=0.7 is given, too"
+        ]
+    );
     let some = [("preset", "steering"), ("profile", "workstation")];
     assert!(told("ppo.gamma = 0.5\ntrain.envs = 3", &["seed=3"], &some).is_empty());
     // These are the settings that profiles change.
