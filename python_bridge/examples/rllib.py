@@ -6,6 +6,7 @@
 
 import sys
 
+from gymnasium.spaces import Dict
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.rl_module.rl_module import RLModuleSpec
 from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
@@ -14,8 +15,18 @@ from ray.tune.registry import register_env
 import iwol_sumo
 
 
+class Vehicles(ParallelPettingZooEnv):
+    """RLlib's wrapper knows the agents that are on the road at the reset only. Here others may come later."""
+
+    def __init__(self, env: iwol_sumo.VehicleEnv) -> None:
+        super().__init__(env)
+        self.agents = self.possible_agents = list(env.possible_agents)
+        self.observation_spaces, self.action_spaces = dict(env.observation_spaces), dict(env.action_spaces)
+        self.observation_space, self.action_space = Dict(self.observation_spaces), Dict(self.action_spaces)
+
+
 def main(iterations: int = 2, batch: int = 1000) -> dict:
-    register_env("intersection", lambda _: ParallelPettingZooEnv(iwol_sumo.parallel_env("intersection", agents=8)))
+    register_env("intersection", lambda _: Vehicles(iwol_sumo.parallel_env("intersection", agents=8)))
     config = (
         PPOConfig()
         .environment("intersection")

@@ -13,7 +13,7 @@ use iwol_sumo::sumo::net::Net;
 use pyo3::prelude::*;
 
 use crate::env::refuse_after_fork;
-use crate::error::{exception, in_python, of_author, of_env, of_net, of_scenario};
+use crate::error::{detached, exception, in_python, of_author, of_env, of_net, of_scenario};
 
 /// What an import has made: the scenario file, the junctions (id, kind, arms, routes, places),
 /// netconvert's warnings, and notes.
@@ -36,7 +36,7 @@ pub(crate) fn new_scenario(
     };
     let (lanes, arm_length, agents, speed, steering) = sizes;
     let sizes = Sizes { lanes, arm_length, agents, speed, steering };
-    let made = py.detach(|| author::create(&root, name, template, &sizes));
+    let made = detached(py, || author::create(&root, name, template, &sizes))?;
     made.map_err(|error| of_author(py, &error))
 }
 
@@ -56,7 +56,7 @@ pub(crate) fn import_map(
     let junction = junction.as_deref();
     let choices = Choices { junction, agents, steering, left_hand, whole_net };
     let map = if osm { Map::Osm(&file) } else { Map::Net(&file) };
-    let imported = py.detach(|| author::import(&root, name, map, &choices));
+    let imported = detached(py, || author::import(&root, name, map, &choices))?;
     imported.map(parts).map_err(|error| of_author(py, &error))
 }
 
@@ -69,7 +69,7 @@ pub(crate) fn import_sumocfg(
     file: PathBuf,
     agents: Option<u32>,
 ) -> PyResult<Import> {
-    let imported = py.detach(|| import_configuration(&root, name, &file, agents));
+    let imported = detached(py, || import_configuration(&root, name, &file, agents))?;
     imported.map(parts).map_err(|error| of_author(py, &error))
 }
 
@@ -92,7 +92,7 @@ pub(crate) fn check_scenario(
     seed: u64,
 ) -> PyResult<String> {
     refuse_after_fork(py)?;
-    let report = py.detach(|| inspect::check(&file, agents, steps, Seed::new(seed)));
+    let report = detached(py, || inspect::check(&file, agents, steps, Seed::new(seed)))?;
     let report = report.map_err(|error| of_env(py, &error))?;
     serde_json::to_string(&report).map_err(|error| exception(py, "Error", error.to_string()))
 }
@@ -107,7 +107,8 @@ pub(crate) fn show_scenario(
 ) -> PyResult<String> {
     let scenario = Scenario::load(&file).map_err(|error| of_scenario(py, &error))?;
     let agents = agents.unwrap_or(scenario.agents.default);
-    let task = py.detach(|| Task::new(&scenario, agents)).map_err(|error| of_env(py, &error))?;
+    let task =
+        detached(py, || Task::new(&scenario, agents))?.map_err(|error| of_env(py, &error))?;
     let net = Net::load(task.map.net_file()).map_err(|error| of_net(py, &error))?;
     Ok(py.detach(|| {
         if html { inspect::page(&task, &net) } else { inspect::picture(&task, &net).svg() }

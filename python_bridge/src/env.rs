@@ -13,7 +13,7 @@ use numpy::{
 };
 use pyo3::prelude::*;
 
-use crate::error::{exception, of_env};
+use crate::error::{detached, exception, of_env};
 use crate::picture::pixels;
 use crate::task::NativeTask;
 
@@ -115,7 +115,7 @@ impl NativeEnv {
         let Some(timeout) = Duration::try_from_secs_f64(timeout).ok().filter(|t| !t.is_zero())
         else {
             let text = format!("timeout is {timeout}; allowed: seconds above 0, up to 1e19");
-            return Err(exception(py, "Error", text));
+            return Err(exception(py, "ArgumentError", text));
         };
         let hosting = Hosting { processes, timeout, audit, ..Hosting::default() };
         Ok(Self { task: Arc::clone(&task.task), worlds, hosting, running: Mutex::new(None) })
@@ -134,7 +134,7 @@ impl NativeEnv {
         refuse_after_fork(py)?;
         let mut running = self.lock(py)?;
         let (running_now, task, worlds) = (&mut *running, &self.task, self.worlds);
-        let started = py.detach(|| {
+        let started = detached(py, || {
             if let Some(running) = running_now {
                 running.env.restart(stream(seed), episode..u64::MAX);
                 running.actions.fill(0.0);
@@ -160,7 +160,7 @@ impl NativeEnv {
                 let finished = Vec::new();
                 *running_now = Some(Running { env, actions, finished, recorder: None, seed });
             })
-        });
+        })?;
         started.map_err(|error| of_env(py, &error))?;
         let Some(running) = running_now else { return Ok(()) };
         running.env.take_finished();
@@ -194,7 +194,7 @@ impl NativeEnv {
             let actions = &actions[e * width..][..width];
             recorder.decide(env, e, actions, &RecordedDiagnostics::default());
         }
-        let taken = py.detach(|| env.step(actions));
+        let taken = detached(py, || env.step(actions))?;
         if let Err(error) = taken {
             *running_now = None;
             return Err(of_env(py, &error));
@@ -232,7 +232,7 @@ impl NativeEnv {
         let width = running.actions.len();
         let actions: Vec<f32> = actions.as_array().iter().copied().collect();
         for actions in actions.chunks_exact(width) {
-            let taken = py.detach(|| running.env.step(actions));
+            let taken = detached(py, || running.env.step(actions))?;
             taken.map_err(|error| of_env(py, &error))?;
             self.fill(py, Some(&running.env), &arrays)?;
             running.env.take_finished();
@@ -318,7 +318,7 @@ impl NativeEnv {
         let given: PyReadonlyArrayDyn<'_, f32> = actions.try_readonly()?;
         if given.shape() != wanted {
             let text = format!("actions have the shape {:?} instead of {wanted:?}", given.shape());
-            return Err(exception(py, "Error", text));
+            return Err(exception(py, "ArgumentError", text));
         }
         let given = given.as_array();
         match given.as_slice() {
@@ -335,7 +335,7 @@ impl NativeEnv {
             } else if action.iter().any(|value| value.is_nan()) {
                 let (e, i) = (row / agents, row % agents);
                 let text = format!("the action of vehicle_{i} in environment {e} is NaN");
-                return Err(exception(py, "Error", text));
+                return Err(exception(py, "ArgumentError", text));
             }
         }
         Ok(())
@@ -414,7 +414,7 @@ fn write<T: Element>(
         }
         _ => {
             let text = format!("the array `{name}` must be C-contiguous with {len} elements");
-            Err(exception(py, "Error", text))
+            Err(exception(py, "ArgumentError", text))
         }
     }
 }

@@ -13,6 +13,13 @@ pub(crate) fn exception(py: Python<'_>, name: &str, text: String) -> PyErr {
     }
 }
 
+/// Runs `work` without the interpreter's lock, and returns the exception that Python code raised
+/// meanwhile: Ctrl-C, or a handler of log messages.
+pub(crate) fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> PyResult<T> {
+    let done = py.detach(work);
+    PyErr::take(py).map_or(Ok(done), Err)
+}
+
 /// Returns an error with all its causes, and the hint, as one text.
 fn text(error: &(dyn std::error::Error + 'static), hint: Option<String>) -> String {
     let causes = std::iter::successors(Some(error), |error| error.source());

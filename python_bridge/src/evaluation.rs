@@ -18,7 +18,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyString;
 
 use crate::env::refuse_after_fork;
-use crate::error::{exception, of_env};
+use crate::error::{detached, exception, of_env};
 use crate::task::NativeTask;
 
 /// Plays `episodes` episodes of the stream `seed` and returns the result as the JSON that
@@ -49,14 +49,14 @@ pub(crate) fn evaluate(
     }
     let hosting = Hosting::default();
     let seeds = Seed::new(seed).child("evaluation");
-    let evaluation = py.detach(|| {
+    let evaluation = detached(py, || {
         let rule = rule.as_deref().and_then(Policy::by_name);
         let policy = rule.unwrap_or(Policy::Learned(&callable));
         let mut report = |_| callable.check_signals();
         let observer =
             EvaluationObserver { stop: &stop, report: &mut report, recorder: None, beside: false };
         driving::evaluate(&task.task, &policy, episodes, seeds, &hosting, observer)
-    });
+    })?;
     if let Some(error) = raised.lock().ok().and_then(|mut raised| raised.take()) {
         return Err(error);
     }
@@ -168,10 +168,15 @@ impl CallableActor<'_> {
             Some(dtype) => dtype.str()?.to_string(),
             None => chosen.get_type().name()?.to_string(),
         };
-        let chosen: PyArrayLikeDyn<'_, f32, AllowTypeChange> = chosen.extract().map_err(|_| {
-            let text = format!("the policy returned {kind} instead of numbers {wanted:?}");
-            exception(py, "Error", text)
-        })?;
+        let refused = |cause: PyErr| {
+            let text = format!("the policy returned {kind} instead of numbers {wanted:?}: {cause}");
+            let refusal = exception(py, "Error", text);
+            refusal.set_cause(py, Some(cause));
+            refusal
+        };
+        let array = py.import("numpy")?.call_method1("asarray", (chosen, "float32"));
+        let chosen: PyArrayLikeDyn<'_, f32, AllowTypeChange> =
+            array.map_err(refused)?.extract().map_err(refused)?;
         if chosen.shape() != wanted {
             let found = chosen.shape();
             let text =

@@ -10,7 +10,7 @@ use iwol_sumo::sumo::Installation;
 use pyo3::prelude::*;
 
 use crate::env::refuse_after_fork;
-use crate::error::{exception, of_env, of_scenario, of_sumo};
+use crate::error::{detached, exception, of_env, of_scenario, of_sumo};
 
 /// A scenario prepared for a number of vehicles.
 #[pyclass(frozen, module = "iwol_sumo._native")]
@@ -57,12 +57,18 @@ impl NativeTask {
         }
         let scenario = file.load(&edits).map_err(|refused| of_scenario(py, &refused.error))?;
         let vehicles = agents.unwrap_or(scenario.agents.default);
-        let task = py.detach(|| Task::new(&scenario, vehicles));
+        let task = detached(py, || Task::new(&scenario, vehicles))?;
         let task = Arc::new(task.map_err(|error| of_env(py, &error))?);
         if let Some(line) = task.left_out() {
-            tracing::warn!("{line}");
+            detached(py, || tracing::warn!("{line}"))?;
         }
         Ok(Self { task, vehicles })
+    }
+
+    /// Length that counts as 1 in observed distances \[m\].
+    #[getter]
+    fn distance_scale(&self) -> f64 {
+        self.task.scenario.observation.distance_scale
     }
 
     #[getter]
@@ -138,7 +144,7 @@ pub(crate) fn overridable(
 #[pyfunction]
 pub(crate) fn sumo(py: Python<'_>) -> PyResult<(PathBuf, String, String)> {
     let found = Installation::find().map_err(|error| of_sumo(py, &error))?;
-    let version = py.detach(|| found.version()).map_err(|error| of_sumo(py, &error))?;
+    let version = detached(py, || found.version())?.map_err(|error| of_sumo(py, &error))?;
     Ok((found.binary().to_owned(), found.reason(), version.software))
 }
 

@@ -1,6 +1,7 @@
 """One world by PettingZoo's conventions."""
 
 import copy
+import logging
 import pickle
 
 import numpy as np
@@ -123,7 +124,7 @@ def test_mistakes_are_named(intersection):
         with pytest.raises(iwol_sumo.Error, match=message):
             intersection.step({**actions, **change})
     del actions["vehicle_2"]
-    with pytest.raises(iwol_sumo.Error, match="vehicle_2 is live and has no action"):
+    with pytest.raises(ValueError, match="vehicle_2 is live and has no action"):
         intersection.step(actions)
     with pytest.raises(iwol_sumo.ScenarioError, match="did you mean 'intersection'"):
         iwol_sumo.parallel_env("intersecton")
@@ -142,6 +143,66 @@ def test_a_copy_is_an_environment_of_its_own(intersection):
     for other in (copy.deepcopy(intersection), pickle.loads(pickle.dumps(intersection))):
         with other:
             assert same(play(other, 3, 0), wanted)
+
+
+def test_environments_without_a_seed_play_episodes_of_their_own(intersection):
+    first = intersection.reset()
+    again = pickle.loads(pickle.dumps(intersection))
+    with iwol_sumo.parallel_env("intersection") as other, again:
+        assert not same(first, other.reset()) and not same(first, again.reset())
+        assert same(first, other.reset(seed=intersection.episode_seed))
+    with iwol_sumo.parallel_env("intersection", seed=4) as one, iwol_sumo.parallel_env("intersection", seed=4) as two:
+        assert one.episode_seed is None
+        assert same(one.reset(), two.reset()) and same(one.reset(), two.reset())
+        assert one.episode_seed == 4
+
+
+def test_a_step_that_was_interrupted_ends_the_episode(intersection, monkeypatch):
+    intersection.reset(seed=0)
+    decide = intersection._decide
+
+    def interrupted():
+        decide()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(intersection, "_decide", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        intersection.step(full_throttle(intersection))
+    monkeypatch.undo()
+    with pytest.raises(iwol_sumo.Error, match="interrupted.*call reset"):
+        intersection.step(full_throttle(intersection))
+    intersection.reset()
+    intersection.step(full_throttle(intersection))
+
+
+def test_exceptions_of_log_handlers_arrive_as_themselves(intersection, kill_sumo):
+    def raises(_):
+        raise KeyboardInterrupt
+
+    logger = logging.getLogger("iwol_sumo.env.driving.vec")
+    intersection.reset(seed=0)
+    kill_sumo()
+    logger.addFilter(raises)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            intersection.step(full_throttle(intersection))
+    finally:
+        logger.removeFilter(raises)
+    intersection.reset(seed=0)
+
+
+def test_after_close_an_environment_says_so():
+    env = iwol_sumo.parallel_env("intersection", render_mode="svg")
+    env.reset(seed=0)
+    actions = full_throttle(env)
+    env.close()
+    for use in (lambda: env.step(actions), env.render, lambda: env.save_replay("episode.json")):
+        with pytest.raises(iwol_sumo.Error, match="close"):
+            use()
+    assert env._repr_html_()
+    with env:
+        env.reset(seed=0)
+        assert env.render().startswith("<svg")
 
 
 def test_closing_twice_is_fine(intersection):
@@ -187,18 +248,19 @@ def test_the_aec_form_plays(intersection):
 
 
 @pytest.mark.parametrize("scenario", ["flow_cross", "blind_crossing"])
-def test_agents_that_are_still_to_come_have_no_infos(scenario):
+def test_agents_that_are_still_to_come_show_nothing(scenario):
     with iwol_sumo.parallel_env(scenario) as env:
         observations, infos = env.reset(seed=0)
         assert list(infos) == env.agents and len(env.agents) < len(env.possible_agents)
-        assert list(observations) == env.possible_agents
+        assert list(observations) == env.agents
         absent = [agent for agent in env.possible_agents if agent not in env.agents]
         # TorchRL looks infos of all possible agents up, in a copy.
         for found in (infos, copy.deepcopy(infos)):
             assert found[absent[0]].keys() == found[env.agents[0]].keys()
         assert list(infos) == env.agents
-        observations[absent[0]] += 1
-        assert not any(observations[agent].any() for agent in absent[1:])
+        for found in (observations, copy.deepcopy(observations)):
+            assert env.observation_space(absent[0]).contains(found[absent[0]]) and not found[absent[0]].any()
+        assert list(observations) == env.agents
     env = iwol_sumo.env(scenario)
     env.reset(seed=0)
     assert env.last()[4]["comm"].any()

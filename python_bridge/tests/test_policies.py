@@ -82,11 +82,34 @@ def test_an_exported_folder_runs_without_the_package(name, tmp_path):
     with iwol_sumo.parallel_env("intersection", 8) as env:
         assert [row["name"] for row in description["observation"]] == [f.name for f in env.features]
     assert load_policy(folder).description == description
-    assert load_policy(POLICIES / name).description == {}
-    with pytest.raises(iwol_sumo.Error, match="has 67 numbers of observation"):
-        iwol_sumo.evaluate(load_policy(folder), "parking_lot", episodes=1)
+    for policy in (load_policy(folder), load_policy(POLICIES / name)):
+        with pytest.raises(iwol_sumo.Error, match="has 67 numbers of observation"):
+            iwol_sumo.evaluate(policy, "parking_lot", episodes=1)
     again = subprocess.run(command, capture_output=True, text=True)
     assert again.returncode == 2 and "already exists" in again.stderr
+
+
+def test_a_policy_of_a_run_says_what_it_was_trained_with(tmp_path):
+    policy = load_policy(POLICIES / "im-iwol-8")
+    for overrides, message in (
+        ({"observation.distanceScale": 20}, "distances in units of 50.0 m"),
+        ({"control.interval": 0.2}, "decides every 0.1 s"),
+        ({"observation.ownTurn": "true", "observation.heading": "false"}, "number 2 of observation is"),
+    ):
+        with pytest.raises(iwol_sumo.Error, match=message):
+            iwol_sumo.evaluate(policy, "intersection", 8, episodes=1, overrides=overrides)
+    # A run that was stopped before its first validation has only a last checkpoint.
+    run = tmp_path / "checkpoints"
+    run.mkdir()
+    whole = (POLICIES / "ex-iwol-8/checkpoints/best.safetensors").read_bytes()
+    (run / "last.safetensors").write_bytes(whole)
+    assert load_policy(tmp_path).description == load_policy(POLICIES / "ex-iwol-8").description
+    # A radio that loses messages is told.
+    begin = 8 + int.from_bytes(whole[:8], "little")
+    text = whole[8:begin].replace(b"\\nloss = 0.0", b"\\nloss = 0.5")
+    (run / "last.safetensors").write_bytes(whole[:8] + text + whole[begin:])
+    with pytest.warns(UserWarning, match="radio that is not perfect"):
+        load_policy(tmp_path)
 
 
 def test_vehicles_out_of_range_change_nothing():

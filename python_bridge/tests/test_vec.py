@@ -104,7 +104,7 @@ def test_wrong_actions_are_refused():
         actions = np.random.default_rng(0).uniform(-1, 1, (2, 8, 1)).astype(np.float32)
         wanted = env.step(actions)
         for other in (actions.astype(np.float64), np.asfortranarray(actions)):
-            env.reset()
+            env.reset(options={"episode": 0})
             assert all(map(np.array_equal, env.step(other), wanted))
 
 
@@ -117,6 +117,34 @@ def test_flat_slots_are_a_gymnasium_vector_environment():
         assert env.observation_space.contains(observation)
     assert reward.shape == terminated.shape == truncated.shape == infos["active"].shape == (16,)
     env.close()
+
+
+def test_flat_actions_of_another_shape_are_refused():
+    env = iwol_sumo.vec_env("parking_lot", 2).flatten()
+    env.reset(seed=0)
+    # As many numbers, with steering and throttle mixed up.
+    with pytest.raises(ValueError, match=r"shape \(2, 10\) instead of \(10, 2\)"):
+        env.step(np.zeros((2, 10), np.float32))
+    env.close()
+
+
+def test_resets_without_a_seed_go_on_with_new_episodes():
+    overrides = {"termination.horizon": 20}
+    with iwol_sumo.vec_env("intersection", 2, 8, overrides=overrides) as env, iwol_sumo.parallel_env("intersection", 8) as one:
+        begun = [env.reset(seed=3), env.reset()]
+        for _ in range(21):
+            begun.append(env.step(np.ones((2, 8, 1), np.float32)))
+        begun = [*begun[:2], begun[-1], env.reset(), env.flatten().reset()[0].reshape(2, 8, -1)]
+        for k, frame in enumerate(begun):
+            observation = frame if isinstance(frame, np.ndarray) else frame.observation
+            for e in range(2):
+                wanted = one.reset(seed=3, options={"episode": 2 * k + e})[0]
+                assert np.array_equal(observation[e], np.stack(list(wanted.values()))), (k, e)
+        first = env.reset(seed=3)
+        assert env.episode_seed == 3 and np.array_equal(first.observation, begun[0].observation)
+    with iwol_sumo.vec_env("intersection", 1, 8) as one, iwol_sumo.vec_env("intersection", 1, 8) as two:
+        assert not np.array_equal(one.reset().observation, two.reset().observation)
+        assert np.array_equal(two.reset(seed=one.episode_seed).observation, one.reset(options={"episode": 0}).observation)
 
 
 def test_features_are_named():
@@ -219,4 +247,4 @@ def test_rejected_numbers_change_nothing():
                 env.reset(seed=number)
             with pytest.raises(iwol_sumo.Error, match="^episode is"):
                 env.reset(options={"episode": number})
-        assert all(map(np.array_equal, wanted, env.reset()))
+        assert all(map(np.array_equal, wanted, env.reset(options={"episode": 0})))

@@ -27,6 +27,8 @@
 //! - Weights are proportional to the graph's entry times the exponential of the attention's score,
 //!   so that a closed link has a gradient as well. Reference: the weights after the softmax are
 //!   multiplied by the graph, so that only open links have one.
+//! - The score of a pair reads whether the listener listens to the sender (reference: whether the
+//!   sender listens to the listener), from embeddings that begin small (reference: of deviation 1).
 //! - There is no dropout, because it changes the ratio. Reference: a rate of 0.1.
 //! - One action head serves all agents. Reference: one head for each agent.
 //! - Edges beyond the radio range do not exist, and an agent reads the previous agent's action only

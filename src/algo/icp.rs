@@ -4,26 +4,29 @@
 //! adapted to continuous control in IWoL's appendix, "Comparison with ICP", which leaves most
 //! details open; there is no public code).
 //!
-//! 1. with every action, each agent shows one of K symbols, chosen from its embedding, with the
-//!    gradient of the softmax
+//! 1. with every action, each agent shows one of K symbols: a sample of a distribution that depends
+//!    on its embedding, with the gradient of the softmax
 //! 2. all agents share one encoder and one decoder: from a symbol, the decoder predicts what the
 //!    sender saw (its embedding) and did (its action); both learn this from the samples of all
 //!    agents
-//! 3. in the next step, an agent reads, besides its observation, the mean of the decoded symbols of
-//!    the agents within range that have shown one
+//! 3. in the next step, an agent observes the symbols of the agents within range: for each symbol,
+//!    the share of them that have shown it
 //! 4. three value functions: `icp-dec` has one value for each agent, from its own observation, and
 //!    its own return; `icp-sum` adds these values up to one value of the team; `icp-monotonic`
 //!    mixes them as QMIX does, with the privileged state; these two learn from the team's return,
 //!    and their agents share its advantage
 //!
 //! Differences from the original on purpose: a continuous action space has no spare scouting
-//! actions, so that the symbol accompanies the action and has no physical effect; the most likely
-//! symbol is always shown (original: Gumbel noise); the mean of decoded symbols serves any number
-//! of other agents (adaptation: one input for each). Proximal policy optimisation, the Gaussian
-//! head and, for `icp-dec`, shared advantages are those of [all methods](super).
+//! actions, so that the symbol accompanies the action and has no physical effect; the shares of
+//! symbols serve any number of other agents (adaptation: one input for each). They are numbers of
+//! the observation, which stay the same in an update; to decode them is a linear map, which the
+//! policy's first layer can learn. The noise of symbols is logistic, follows the schedule of the
+//! other noise and is stored with the rollout (original: Gumbel noise). In evaluation, agents show
+//! the most likely symbol. Proximal policy optimisation, the Gaussian head and, for `icp-dec`,
+//! shared advantages are those of [all methods](super).
 //!
-//! Shapes: symbols `[rows, N, K]`, which end the policy's memory; what an agent reads of others,
-//! and what the decoder predicts, `[rows, N, H + A]`.
+//! Shapes: symbols `[rows, N, K]`, which end the policy's memory, and what an agent reads of others,
+//! `[rows, N, K]`; what the decoder predicts, `[rows, N, H + A]`.
 
 use std::marker::PhantomData;
 
@@ -111,23 +114,23 @@ pub(super) struct Icp<D> {
 
 impl<D: Decomposition> Icp<D> {
     /// Returns the symbols `[.., K]` that embeddings `[.., H]` show: 0 or 1, with the gradient of
-    /// the softmax.
-    fn show(&self, f: &Tensor) -> Tensor {
-        sample_best(&self.symbol.forward(f), 1)
+    /// the softmax. With `noise [.., K]` they are samples; without, the most likely symbols.
+    fn show(&self, f: &Tensor, noise: Option<&Tensor>) -> Tensor {
+        let scores = self.symbol.forward(f);
+        sample_best(&noise.map_or_else(|| scores.shallow_clone(), |noise| &scores + noise), 1)
     }
 
-    /// Returns what agents read besides their observation, `[rows, N, H + A]`.
-    /// `memory [rows, N, M]` ends with the symbols of the last step, which are cleared where
-    /// `keep [rows, N]` is 0; `comm [rows, N, N]` is 1 within range. Agents without a symbol do not
-    /// count.
+    /// Returns what agents read besides their observation, `[rows, N, K]`: the share of the others
+    /// within range that have shown each symbol. `memory [rows, N, M]` ends with the symbols of the
+    /// last step, which are cleared where `keep [rows, N]` is 0; `comm [rows, N, N]` is 1 within
+    /// range. Agents without a symbol do not count.
     fn heard(&self, memory: &Tensor, keep: &Tensor, comm: &Tensor) -> Tensor {
         let shown = memory.narrow(2, self.encoder.memory(), self.symbols) * keep.unsqueeze(-1);
         // 1 for agents that have shown a symbol; those whose trajectory begins have not.
         let speaks = shown.amax([-1], false).unsqueeze(1);
         let others = (comm - comm.diagonal(0, 1, 2).diag_embed(0, 1, 2)) * speaks;
         let count = others.sum_dim_intlist(-1, true, Kind::Float).clamp_min(1.0);
-        let all = Tensor::eye(self.symbols, (Kind::Float, memory.device()));
-        (others / count).matmul(&shown).matmul(&self.decoder.forward(&all).detach())
+        (others / count).matmul(&shown)
     }
 
     /// Returns the encoder's input at one decision, and the encoder's own memory.
@@ -158,27 +161,24 @@ impl<D: Decomposition> Networks for Icp<D> {
     const NAME: &'static str = D::NAME;
     const SCOPE: CommunicationScope = CommunicationScope::InRangeNextStep;
     const SETTINGS: &'static [&'static str] = &["icp"];
+    const TRAINING_ONLY: &'static [&'static str] = &["decoder."];
     const TEAM: bool = D::TEAM;
 
     fn new(spec: &EnvSpec, settings: &Settings, builder: &mut ParameterBuilder) -> Self {
         let (network, symbols, actions) =
             (&settings.network, settings.icp.symbols, spec.actions.encoded() as i64);
         let (hidden, decoded) = (network.hidden, network.hidden + actions);
-        let heard = |i| Feature {
-            name: format!("heard.{i}"),
-            unit: "1".to_owned(),
-            low: f32::MIN,
-            high: f32::MAX,
-        };
+        let heard =
+            |i| Feature { name: format!("heard.{i}"), unit: "1".to_owned(), low: 0.0, high: 1.0 };
         let group = Group {
             name: "heard".to_owned(),
             offset: 0,
-            width: decoded as usize,
+            width: symbols as usize,
             count: 1,
             presence: None,
         };
         let heard = Features {
-            list: (0..decoded).map(heard).collect(),
+            list: (0..symbols).map(heard).collect(),
             groups: vec![group],
             normalised: false,
         };
@@ -214,6 +214,10 @@ impl<D: Decomposition> Networks for Icp<D> {
         self.encoder.memory() + self.symbols
     }
 
+    fn graph_noise(&self, _agents: i64) -> i64 {
+        self.symbols
+    }
+
     fn is_recurrent(&self) -> bool {
         self.encoder.memory() > 0
     }
@@ -227,7 +231,8 @@ impl<D: Decomposition> Networks for Icp<D> {
         let (f, after) = encode_rows(&self.encoder, &x, &memory, &input.keep(), 1);
         let after = after.map_or_else(|| memory.shallow_clone(), |after| after.view_as(&memory));
         let (action, log_prob) = self.head.sample(&f, &input.available, mode);
-        Decision { action, log_prob, memory: Tensor::cat(&[&after, &self.show(&f)], -1) }
+        let shown = self.show(&f, mode.graph_noise());
+        Decision { action, log_prob, memory: Tensor::cat(&[&after, &shown], -1) }
     }
 
     fn loss(&self, batch: &Batch, shard: &Shard, settings: &Settings, norm: &ValueNorm) -> Loss {
@@ -246,7 +251,8 @@ impl<D: Decomposition> Networks for Icp<D> {
         // Other agents see the executed action, which is clipped to its bounds.
         let action = self.head.encoded(&shard.active(&batch.action)).clamp(-1.0, 1.0);
         let target = Tensor::cat(&[f.detach(), action], -1);
-        let message = mean_squared_error(&self.decoder.forward(&self.show(&f)), &target);
+        let shown = self.show(&f, Some(&shard.active(&batch.policy_graph)));
+        let message = mean_squared_error(&self.decoder.forward(&shown), &target);
 
         let total = &policy.loss + &value + LAMBDA_MESSAGE * &message;
         Loss::new(total, &value, [("loss/message", &message)], &policy)

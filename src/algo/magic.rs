@@ -23,6 +23,8 @@
 //!   graphs this is learned as well).
 //! - Schedulers read the embeddings directly, and messages are sent as they are (football's script:
 //!   another attention before the schedulers, and layers that encode and decode messages).
+//! - Graphs are learned in every task (scripts for the traffic junction: complete graphs, and a layer
+//!   that decodes messages).
 //! - Edges beyond the radio range do not exist.
 //! - The noise of the graphs is stored with the rollout, and evaluation has none (reference: always
 //!   new noise).

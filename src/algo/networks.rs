@@ -63,7 +63,7 @@ pub trait Networks: Sized + Send {
 
     /// Returns how many numbers per agent the noise of the policy's communication graphs has, among
     /// N agents: N for each graph that the policy samples at a decision, K for a graph over lists of
-    /// K neighbours, or 0.
+    /// K neighbours or for one of K symbols that an agent shows, or 0.
     fn graph_noise(&self, _agents: i64) -> i64 {
         0
     }

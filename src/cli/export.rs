@@ -34,6 +34,10 @@ pub(super) struct Args {
     /// Write the policy's weights into a new folder, with a Python file that runs them in PyTorch.
     #[arg(long, value_name = "DIR")]
     pytorch: Option<PathBuf>,
+    /// Scenario file of the run, for --onnx and --pytorch [default: the path in the run's settings,
+    /// relative to this folder].
+    #[arg(long, value_name = "FILE")]
+    scenario: Option<PathBuf>,
 }
 
 /// The file that runs exported weights in PyTorch. The Python package loads policies with it too.
@@ -42,7 +46,7 @@ const PYTORCH: &str = include_str!("../../python_bridge/python/iwol_sumo/_policy
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let checkpoint = Checkpoint::load(&RunDir::checkpoint(&args.run))?.weights();
     if let Some(file) = &args.onnx {
-        write_onnx(&checkpoint, &args.run, file)?;
+        write_onnx(&checkpoint, args, file)?;
         tell!("{}", file.display());
     }
     if let Some(out) = &args.out {
@@ -50,7 +54,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         tell!("{}", out.display());
     }
     if let Some(dir) = &args.pytorch {
-        write_pytorch(checkpoint, &args.run, dir)?;
+        write_pytorch(checkpoint, args, dir)?;
         tell!("{}", dir.display());
     }
     Ok(Verdict::Good)
@@ -58,11 +62,11 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
 
 /// Writes the policy as an ONNX model. Its metadata say what the numbers of observations and actions
 /// mean.
-fn write_onnx(checkpoint: &Checkpoint, run: &Path, file: &Path) -> anyhow::Result<()> {
+fn write_onnx(checkpoint: &Checkpoint, args: &Args, file: &Path) -> anyhow::Result<()> {
     if file.exists() {
         bail!("`{}` already exists; choose another --onnx", file.display());
     }
-    let exported = Exported::new(checkpoint, run)?;
+    let exported = Exported::new(checkpoint, args)?;
     let metadata = [("policy", exported.description.to_string())];
     record::write_atomic(file, &exported.graph.encode(&checkpoint.algorithm, &metadata))?;
     Ok(())
@@ -70,11 +74,11 @@ fn write_onnx(checkpoint: &Checkpoint, run: &Path, file: &Path) -> anyhow::Resul
 
 /// Writes a folder with the policy's weights, what its numbers mean, and the file that runs it in
 /// PyTorch. Methods and encoders are those that have an ONNX model.
-fn write_pytorch(mut checkpoint: Checkpoint, run: &Path, dir: &Path) -> anyhow::Result<()> {
+fn write_pytorch(mut checkpoint: Checkpoint, args: &Args, dir: &Path) -> anyhow::Result<()> {
     if dir.exists() {
         bail!("`{}` already exists; choose another --pytorch", dir.display());
     }
-    let exported = Exported::new(&checkpoint, run)?;
+    let exported = Exported::new(&checkpoint, args)?;
     std::fs::create_dir_all(dir)
         .with_context(|| format!("cannot create the folder `{}`", dir.display()))?;
     checkpoint.learner.retain(|(name, _)| name.starts_with(onnx::ACTOR));
@@ -93,10 +97,12 @@ struct Exported {
 }
 
 impl Exported {
-    fn new(checkpoint: &Checkpoint, run: &Path) -> anyhow::Result<Self> {
-        let source = format!("{} (stored settings)", run.display());
+    fn new(checkpoint: &Checkpoint, args: &Args) -> anyhow::Result<Self> {
+        let source = format!("{} (stored settings)", args.run.display());
         let document = Document::of_run(source, checkpoint.config.clone());
-        let resolved = Layers { document, ..Layers::default() }.resolve()?;
+        let scenario = args.scenario.iter().map(|file| file.display().to_string());
+        let flags = scenario.map(|file| ("scenario", toml::Value::String(file))).collect();
+        let resolved = Layers { document, flags, ..Layers::default() }.resolve()?;
         let (config, place) = (resolved.config, resolved.place);
         if !config.channel.is_perfect() {
             say!(
@@ -110,7 +116,13 @@ impl Exported {
                     "interval": scenario.control.interval,
                     "communication_range": scenario.communication.range,
                 });
-                (Task::new(scenario, config.agents)?.spec, about)
+                let spec = Task::new(scenario, config.agents)?.spec;
+                if let Some(difference) = checkpoint.misplaced(&spec.observation) {
+                    bail!(
+                        "the policy observes other numbers than the scenario defines: {difference}"
+                    );
+                }
+                (spec, about)
             }
             TaskSource::Environment(named) => {
                 (named.environment().spec().clone(), json!({ "environment": named.name }))

@@ -140,6 +140,26 @@ fn a_channel_is_refused_beside_a_model() {
     assert!(said.contains("contains the policy without a channel"), "{said}");
 }
 
+/// The path in a run's settings is relative to the folder in which the run was started.
+#[test]
+fn exports_in_another_folder_are_told_the_scenario() {
+    let folder = folder();
+    let run = root().join("policies/im-iwol-8").display().to_string();
+    let export = |more: &[&str]| {
+        let mut command = iwol(&[&["export", &run, "--onnx", "policy.onnx"], more].concat());
+        command.current_dir(folder.path());
+        command
+    };
+    let refused = failure(&mut export(&[]));
+    assert!(refused.contains("or give --scenario"), "{refused}");
+    let scenario = |name: &str| root().join("scenarios").join(name).display().to_string();
+    let other = scenario("one_lane.xml");
+    let refused = failure(&mut export(&["--scenario", &other]));
+    assert!(refused.contains("one_lane.xml") || refused.contains("other numbers"), "{refused}");
+    succeeds(&mut export(&["--scenario", &scenario("intersection.xml")]));
+    assert!(folder.path().join("policy.onnx").is_file());
+}
+
 /// A run that was trained with a disturbed channel has a model without one, which is said.
 #[test]
 fn exports_say_that_they_lack_the_channel() {

@@ -24,9 +24,10 @@ from ._native import __version__
 from ._parallel import VehicleEnv
 from ._scenarios import scenario_file, scenarios, settings
 from ._vec import Feature, FlatVecEnv, Frame, VecEnv
-from .errors import Error, ScenarioError, SumoError
+from .errors import ArgumentError, Error, ScenarioError, SumoError
 
 __all__ = [
+    "ArgumentError",
     "Error",
     "Feature",
     "FlatVecEnv",
@@ -69,7 +70,7 @@ def parallel_env(
     scenario: str | os.PathLike[str],
     agents: int | None = None,
     *,
-    seed: int = 0,
+    seed: int | None = None,
     render_mode: str | None = None,
     overrides: Mapping[str, Any] | None = None,
     timeout: float = 20.0,
@@ -80,7 +81,7 @@ def parallel_env(
     Args:
         scenario: name of a scenario of the package (:func:`scenarios`), or path of a scenario file.
         agents: number of vehicles; the scenario's default without it.
-        seed: stream of episodes until :meth:`VehicleEnv.reset` gets another.
+        seed: stream of episodes until :meth:`VehicleEnv.reset` gets another; without it, one is drawn at the first reset.
         render_mode: ``"html"``, ``"svg"`` or ``"rgb_array"`` records episodes for :meth:`VehicleEnv.render`.
         overrides: other values of the scenario's settings, such as ``{"observation.neighbours": 2}``;
             :func:`settings` lists them. None leaves a setting as the scenario has it.
@@ -115,7 +116,7 @@ def vec_env(
     num_envs: int = 16,
     agents: int | None = None,
     *,
-    seed: int = 0,
+    seed: int | None = None,
     copy: bool = True,
     overrides: Mapping[str, Any] | None = None,
     processes: int = 0,
@@ -128,7 +129,7 @@ def vec_env(
         scenario: name of a scenario of the package (:func:`scenarios`), or path of a scenario file.
         num_envs: number of worlds E.
         agents: number of vehicles N of each; the scenario's default without it.
-        seed: stream of episodes until :meth:`VecEnv.reset` gets another.
+        seed: stream of episodes until :meth:`VecEnv.reset` gets another; without it, one is drawn at the first reset.
         copy: whether each step returns new arrays; without it, the next step overwrites them, which saves time.
         overrides: as for :func:`parallel_env`.
         processes: number of SUMO processes, 0 for one per core. Results do not depend on it.

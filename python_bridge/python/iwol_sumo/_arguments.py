@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import operator
+import secrets
 from typing import Any
 
-from .errors import Error
+from .errors import ArgumentError, Error
 
 
-def whole(name: str, value: Any, low: int = 0, high: int = 2**64 - 1, error: type[Error] = Error) -> int:
+def whole(name: str, value: Any, low: int = 0, high: int = 2**64 - 1, error: type[Error] = ArgumentError) -> int:
     """Returns an argument that is a whole number.
 
     Raises:
@@ -21,3 +22,13 @@ def whole(name: str, value: Any, low: int = 0, high: int = 2**64 - 1, error: typ
     if not low <= number <= high:
         raise error(f"{name} is {value!r}; allowed: whole numbers from {low} to {high}")
     return number
+
+
+def optional_seed(seed: Any) -> int | None:
+    """Returns a seed that may be left out."""
+    return None if seed is None else whole("seed", seed)
+
+
+def drawn_seed() -> int:
+    """Returns a seed that no other environment has, from the operating system's randomness."""
+    return secrets.randbits(63)

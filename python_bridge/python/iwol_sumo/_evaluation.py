@@ -39,7 +39,7 @@ def evaluate(
         policy: a driver without training (``"sumo"``, ``"throttle:1"``, ``"pursuit:8"``, ``"fcfs:8"``, ``"gaussian"``,
             ``"uniform"``), or a function that gets ``observation [E, N, O]``, ``comm [E, N, N]``, ``active [E, N]`` and
             ``start [E, N]`` and returns actions ``[E, N, A]``. E is 16 or fewer worlds. If it has a
-            ``description``, as policies of ``iwol export`` do, that must name the task's numbers.
+            ``description``, as policies of ``load_policy`` do, that must name the task's numbers.
         scenario: name or path, as for :func:`iwol_sumo.parallel_env`.
         agents: number of vehicles; the scenario's default without it.
         episodes: number of episodes.
@@ -90,6 +90,9 @@ def check_description(description: Mapping[str, Any], task: _native.NativeTask) 
     interval = description.get("interval", task.interval)
     if interval != task.interval:
         raise Error(f"the policy decides every {interval} s; {by_task} {task.interval} s")
+    unit = description.get("distance_scale", task.distance_scale)
+    if unit != task.distance_scale:
+        raise Error(f"the policy observes distances in units of {unit} m; {by_task} {task.distance_scale} m")
 
 
 def scale(unit: str) -> str | None:

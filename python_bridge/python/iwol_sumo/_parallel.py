@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from . import _native
-from ._arguments import whole
+from ._arguments import drawn_seed, optional_seed, whole
 from ._scenarios import load_task
 from ._vec import Feature, Frame, box
-from .errors import Error
+from .errors import ArgumentError, Error
 
 
 def _info(
@@ -36,11 +36,22 @@ def _info(
     }
 
 
-class Infos(dict[str, dict[str, Any]]):
-    """Infos of the agents that are live.
+class Observations(dict[str, NDArray[np.float32]]):
+    """Observations of the agents that are live.
 
-    TorchRL looks those of all possible agents up at a reset, and gets empty ones for the others.
+    TorchRL looks those of all possible agents up at a reset, and gets zeros for the others.
     """
+
+    def __init__(self, observations: dict[str, NDArray[np.float32]], width: int) -> None:
+        super().__init__(observations)
+        self.width = width
+
+    def __missing__(self, agent: str) -> NDArray[np.float32]:
+        return np.zeros(self.width, np.float32)
+
+
+class Infos(dict[str, dict[str, Any]]):
+    """Infos of the agents that are live, as :class:`Observations` has their observations."""
 
     def __init__(self, infos: dict[str, dict[str, Any]], slots: int) -> None:
         super().__init__(infos)
@@ -53,11 +64,12 @@ class Infos(dict[str, dict[str, Any]]):
 class VehicleEnv(ParallelEnv, EzPickle):
     """One world of a scenario, in which each vehicle is an agent.
 
-    Agents are called ``vehicle_0``, ``vehicle_1``, …. Who arrives, crashes or leaves the road is terminated; who is on the
-    road at the horizon is truncated. Nobody comes back within an episode. Where agents come from route files, each vehicle
-    that departs is an agent with a name of its own.
+    Agents are called ``vehicle_0``, ``vehicle_1``, …. An agent that arrives, crashes or goes off-road is terminated; an
+    agent that is on the road at the horizon is truncated. No agent comes back within an episode. Where agents come from
+    route files, each vehicle that departs is an agent with a name of its own.
 
-    The environment can be pickled and copied; a copy starts a SUMO of its own with its first :meth:`reset`.
+    The environment can be pickled and copied; a copy starts a SUMO of its own with its first :meth:`reset`, and draws a
+    seed of its own unless the environment was made with one.
     """
 
     def __init__(
@@ -65,7 +77,7 @@ class VehicleEnv(ParallelEnv, EzPickle):
         scenario: str | os.PathLike[str],
         agents: int | None = None,
         *,
-        seed: int = 0,
+        seed: int | None = None,
         render_mode: str | None = None,
         overrides: Mapping[str, Any] | None = None,
         timeout: float = 20.0,
@@ -90,10 +102,10 @@ class VehicleEnv(ParallelEnv, EzPickle):
             "render_fps": round(1.0 / task.interval),
         }
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise Error(f"render_mode {render_mode!r} is none of 'html', 'rgb_array', 'svg', None")
+            raise ArgumentError(f"render_mode {render_mode!r} is none of 'html', 'rgb_array', 'svg', None")
         self.render_mode = render_mode
         self._env = _native.NativeEnv(task, 1, 1, timeout, audit)
-        self._first_seed = whole("seed", seed)
+        self._first_seed = optional_seed(seed)
         self._seed: int | None = None
         self._episode = 0
         self._slots = task.agents
@@ -122,6 +134,14 @@ class VehicleEnv(ParallelEnv, EzPickle):
         # Slot and name of the agents that are live.
         self._live: list[tuple[int, str]] = []
         self._ended = False
+        # Whether a step or a reset has begun and not ended, because of an error or Ctrl-C.
+        self._broken = False
+        self._closed = False
+
+    @property
+    def episode_seed(self) -> int | None:
+        """Seed of the present stream of episodes; None before the first :meth:`reset`."""
+        return self._seed
 
     def observation_space(self, agent: str) -> Box:
         """Returns the space of an agent's observations, always the same object."""
@@ -138,26 +158,25 @@ class VehicleEnv(ParallelEnv, EzPickle):
 
         Args:
             seed: stream of episodes, which starts with its first one; without it, the next episode of the present stream.
+                The first reset without one draws a seed, unless the environment was made with one.
             options: ``{"episode": k}`` starts episode k of the stream. Other entries are ignored.
 
         Returns:
-            Observations of all possible agents, zeros for those that are not on the road, and
-            infos of the agents that are live.
+            Observations and infos of the agents that are live.
         """
-        if seed is not None or self._seed is None:
-            stream, episode = (self._first_seed if seed is None else whole("seed", seed)), 0
-        else:
-            stream, episode = self._seed, self._episode + 1
+        given = optional_seed(seed)
+        stream, episode = (self._seed, self._episode + 1) if given is None else (given, 0)
+        if stream is None:
+            stream, episode = (drawn_seed() if self._first_seed is None else self._first_seed), 0
         episode = whole("episode", (options or {}).get("episode", episode), high=2**63 - 1)
+        self._broken = True
         self._env.start(stream, episode, self.render_mode is not None, self._frame)
         self._seed, self._episode = stream, episode
         self._names, self._known, self._ended = [None] * self._slots, 0, False
         self._await_agents()
-        width = len(self.features)
-        observations = {name: np.zeros(width, np.float32) for name in self.possible_agents}
-        for slot, name in self._live:
-            observations[name] = self._frame.observation[0, slot].copy()
-        return observations, Infos(self._infos(self._live), self._slots)
+        self._broken = self._closed = False
+        observations = {name: self._frame.observation[0, slot].copy() for slot, name in self._live}
+        return Observations(observations, len(self.features)), Infos(self._infos(self._live), self._slots)
 
     def step(self, actions: Mapping[str, Any]) -> tuple[
         dict[str, NDArray[np.float32]],
@@ -174,28 +193,31 @@ class VehicleEnv(ParallelEnv, EzPickle):
             Error: if a live agent has no action, its action has a wrong shape or is NaN, or a name is unknown.
             SumoError: if SUMO failed twice.
         """
-        if self._seed is None:
-            raise Error("step() before reset(): call reset() first")
+        if self._seed is None or self._closed:
+            raise Error("step() before reset(), or after close(): call reset() first")
+        if self._broken:
+            raise Error("a step was interrupted, or ended with an error, so that the episode cannot go on: call reset()")
         if not self.agents:
             return {}, {}, {}, {}, {}
         if not actions.keys() <= self.observation_spaces.keys():
             unknown = next(iter(actions.keys() - self.observation_spaces.keys()))
-            raise Error(f"there is no agent {unknown!r}; agents are {self.possible_agents[0]} to {self.possible_agents[-1]}")
+            raise ArgumentError(f"there is no agent {unknown!r}; agents are {self.possible_agents[0]} to {self.possible_agents[-1]}")
         before = self._live
         given, shape = self._actions[0], (len(self.actions),)
         for slot, name in before:
             if name not in actions:
-                raise Error(f"{name} is live and has no action")
+                raise ArgumentError(f"{name} is live and has no action")
             action = actions[name]
             if not isinstance(action, np.ndarray):
                 action = np.asarray(action, np.float32)
             if action.shape != shape:
-                raise Error(f"the action of {name} has the shape {action.shape} instead of {shape}")
+                raise ArgumentError(f"the action of {name} has the shape {action.shape} instead of {shape}")
             given[slot] = action
         if np.isnan(given).any():
             name = next(name for slot, name in before if np.isnan(given[slot]).any())
             given.fill(0.0)
-            raise Error(f"the action of {name} is NaN")
+            raise ArgumentError(f"the action of {name} is NaN")
+        self._broken = True
         self._decide()
         frame = self._frame
         # A copy of all rows at once is quicker than one for each agent.
@@ -216,6 +238,7 @@ class VehicleEnv(ParallelEnv, EzPickle):
         for slot, name in new:
             observations[name] = frame.observation[0, slot].copy()
             rewards[name], terminations[name], truncations[name] = 0.0, False, False
+        self._broken = False
         return observations, rewards, terminations, truncations, infos
 
     def _decide(self) -> None:
@@ -263,26 +286,35 @@ class VehicleEnv(ParallelEnv, EzPickle):
 
         ``"html"``: a page that plays it; ``"svg"``: a picture of the present step; ``"rgb_array"``: the same picture as
         pixels ``[H, W, 3]``, 900 wide, without the vehicles' numbers. None before the first reset.
+
+        Raises:
+            Error: without `render_mode`, and after :meth:`close`, with which the recording ends.
         """
         if self.render_mode is None:
             raise Error('nothing is recorded: make the environment with render_mode="html", "svg" or "rgb_array"')
+        if self._closed:
+            raise Error("the recording has ended with close(): call render() before it")
         if self.render_mode == "rgb_array":
             return self._env.pixels()
         return self._env.render(self.render_mode == "html")
 
     def _repr_html_(self) -> str:
         """Returns the present step's picture for notebooks, if the episode is recorded."""
-        picture = self._env.render(False) if self.render_mode is not None else None
+        recorded = self.render_mode is not None and not self._closed
+        picture = self._env.render(False) if recorded else None
         return picture or f"<pre>{html.escape(repr(self))}</pre>"
 
     def save_replay(self, path: str | os.PathLike[str]) -> None:
         """Writes the episode so far to a file that ``iwol replay`` turns into a player."""
+        if self._closed:
+            raise Error("the recording has ended with close(): call save_replay() before it")
         if not self._env.save_recording(os.fspath(path)):
             raise Error("nothing is recorded: make the environment with render_mode, and step it first")
 
     def close(self) -> None:
         """Ends SUMO. Nothing happens if it does not run."""
         self._env.close()
+        self._closed = True
         self.agents = []
 
     def __enter__(self) -> VehicleEnv:

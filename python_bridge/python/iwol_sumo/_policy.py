@@ -23,8 +23,8 @@ def read(path: str | Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Returns the policy's tensors and the metadata of a safetensors checkpoint. Raises OSError or ValueError."""
     file = Path(path)
     if file.is_dir():
-        exported, trained = file / "policy.safetensors", file / "checkpoints" / "best.safetensors"
-        file = exported if exported.is_file() else trained
+        names = ("policy.safetensors", "checkpoints/best.safetensors", "checkpoints/last.safetensors")
+        file = next((file / name for name in names if (file / name).is_file()), file / names[1])
     data = bytearray(file.read_bytes())
     begin = 8 + int.from_bytes(data[:8], "little")
     header = json.loads(data[8:begin])
@@ -42,17 +42,17 @@ class Policy(nn.Module):
 
     def __init__(self, path: str | Path) -> None:
         super().__init__()
-        tensors, metadata = read(path)
+        tensors, self.metadata = read(path)
         # A run's checkpoint has the averaged weights, which act in evaluations, beside those that are trained.
         prefix = "learner/actor_average/" if any("/actor_average/" in name for name in tensors) else "learner/actor/"
         # Decoders of the world and of interactions serve training only.
         named = ((name[len(prefix) :].removeprefix("trunk."), t) for name, t in tensors.items() if name.startswith(prefix))
         weights = {name.replace(".", "/"): t for name, t in named if not name.startswith(("world.", "interaction."))}
-        self.algorithm = metadata.get("algorithm", "no method")
+        self.algorithm = self.metadata.get("algorithm", "no method")
         if self.algorithm not in METHODS or "encoder/mlp/layers/0/linear/weight" not in weights or any("gru" in name for name in weights):
             raise ValueError(f"it holds {self.algorithm!r}; allowed: {', '.join(METHODS)}, with the encoder mlp, without memory")
         self.weights = nn.ParameterDict({name: nn.Parameter(tensor.clone()) for name, tensor in weights.items()})
-        self.graph_bias = float((re.search(r"^graph_bias = (\S+)", metadata.get("config", ""), re.M) or ("", 0))[1])
+        self.graph_bias = float((re.search(r"^graph_bias = (\S+)", self.metadata.get("config", ""), re.M) or ("", 0))[1])
         self.rounds = len({name.split("/")[2] for name in weights if name.startswith("transformer/rounds/")})
 
     def forward(self, observation: Tensor, comm: Tensor) -> Tensor:

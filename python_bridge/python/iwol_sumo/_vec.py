@@ -13,9 +13,9 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from . import _native
-from ._arguments import whole
+from ._arguments import drawn_seed, optional_seed, whole
 from ._scenarios import load_task
-from .errors import Error
+from .errors import ArgumentError, Error
 
 try:
     from gymnasium.vector import AutoresetMode
@@ -110,7 +110,7 @@ class VecEnv:
         num_envs: int = 16,
         agents: int | None = None,
         *,
-        seed: int = 0,
+        seed: int | None = None,
         copy: bool = True,
         overrides: Mapping[str, Any] | None = None,
         processes: int = 0,
@@ -120,7 +120,7 @@ class VecEnv:
         """Prepares the worlds; see :func:`iwol_sumo.vec_env`."""
         num_envs = whole("num_envs", num_envs, 1, 2**32 - 1)
         processes = whole("processes", processes)
-        self._seed = whole("seed", seed)
+        self._seed = optional_seed(seed)
         task = load_task(scenario, agents, overrides)
         self._env = _native.NativeEnv(task, num_envs, processes, timeout, audit)
         self._copy = copy
@@ -147,6 +147,8 @@ class VecEnv:
         # None until somebody asks for the records of the last step.
         self._episodes: list[dict[str, Any]] | None = []
         self._frame = self._empty()
+        # Number of the stream's first episode that no world has begun.
+        self._begun = 0
 
     def _empty(self) -> Frame:
         return Frame.empty(self.num_envs, self.agents, len(self.features), len(self.state_features))
@@ -155,21 +157,31 @@ class VecEnv:
         """Starts new episodes in all worlds and returns their first frame.
 
         Args:
-            seed: stream of episodes, from now on; without it, the present one from its first episode. 0 to 2⁶⁴ − 1.
+            seed: stream of episodes, from now on, from its first one; 0 to 2⁶⁴ − 1. Without it, the present stream goes
+                on with episodes that no world has begun. The first reset without one draws a seed, unless the worlds
+                were made with one.
             options: ``{"episode": k}`` lets world e start with episode k + e. Other entries are ignored.
 
         Raises:
             Error: if `options` has ``"reset_mask"``: worlds reset themselves, and only all of them together.
         """
         if "reset_mask" in (options or {}):
-            raise Error("single worlds cannot be reset (reset_mask): they reset themselves in the step after an episode")
-        stream = self._seed if seed is None else whole("seed", seed)
-        episode = whole("episode", (options or {}).get("episode", 0), high=2**63 - 1)
+            raise ArgumentError("single worlds cannot be reset (reset_mask): they reset themselves in the step after an episode")
+        given = optional_seed(seed)
+        first = self._begun if given is None else 0
+        episode = whole("episode", (options or {}).get("episode", first), high=2**63 - 1)
+        stream = self._seed if given is None else given
+        stream = drawn_seed() if stream is None else stream
         frame = self._empty() if self._copy else self._frame
         self._env.start(stream, episode, False, frame)
-        self._seed = stream
+        self._seed, self._begun = stream, episode + self.num_envs
         self._episodes = []
         return frame
+
+    @property
+    def episode_seed(self) -> int | None:
+        """Seed of the present stream of episodes; None before the first :meth:`reset` of worlds made without one."""
+        return self._seed
 
     def step(self, actions: NDArray[np.float32], out: Frame | None = None) -> Frame:
         """Performs one decision in all worlds.
@@ -185,7 +197,10 @@ class VecEnv:
             SumoError: if SUMO failed twice.
         """
         frame = out if out is not None else self._empty() if self._copy else self._frame
-        self._episodes = None if self._env.step(np.asarray(actions, np.float32), frame) else []
+        ended = self._env.step(np.asarray(actions, np.float32), frame)
+        self._episodes = None if ended else []
+        if frame.start.any():
+            self._begun = max(self._begun, *(number + 1 for number in self._env.episodes()))
         return frame
 
     @property
@@ -215,7 +230,9 @@ class FlatVecEnv(gymnasium.vector.VectorEnv):
     """The slots of a :class:`VecEnv` as E·N environments of one agent each, for PPO with shared parameters.
 
     Slot n of world e is environment e·N + n. ``infos["active"]`` tells which of them act: leave samples out of the loss
-    where it was not set before the step. A slot whose agent has ended stays inactive until its world starts anew.
+    where it was not set before the step. A slot whose agent has ended stays inactive until its world starts anew, for
+    many steps: Gymnasium's wrappers, such as ``RecordEpisodeStatistics``, do not know this, and count those steps to the
+    episode of the slot's next agent. ``infos["episodes"]`` has the records of the worlds' episodes.
     """
 
     def __init__(self, env: VecEnv) -> None:
@@ -247,8 +264,10 @@ class FlatVecEnv(gymnasium.vector.VectorEnv):
         self, actions: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Performs one decision; `actions` is ``[E·N, A]``."""
-        env = self.env
-        frame = env.step(np.asarray(actions).reshape(env.num_envs, env.agents, -1))
+        env, actions = self.env, np.asarray(actions)
+        if actions.shape != (shape := (self.num_envs, len(env.actions))):
+            raise ArgumentError(f"actions have the shape {actions.shape} instead of {shape}")
+        frame = env.step(actions.reshape(env.num_envs, env.agents, -1))
         return (
             frame.observation.reshape(self.num_envs, -1),
             frame.reward.reshape(-1),

@@ -5,6 +5,10 @@ class Error(Exception):
     """An error of an environment."""
 
 
+class ArgumentError(Error, ValueError):
+    """An argument has a value that is not allowed."""
+
+
 class ScenarioError(Error, ValueError):
     """A scenario, its net or its route files cannot be used."""
 
