@@ -84,7 +84,11 @@ fn rules_set_what_the_grid_does_not() {
 fn the_scenario_can_be_changed_beside_its_short_form() {
     let sweep = |more: &str| {
         let short = FILE.replace("seed = [0, 1]", &format!("seed = [0, 1]\n{more}"));
-        parse(&short).unwrap().cells
+        // A file of the grid stands in the place of that in the settings.
+        let settings = "scenario = \"scenarios/intersection.xml\"\n";
+        let file =
+            if more.starts_with("scenario = ") { short.replacen(settings, "", 1) } else { short };
+        parse(&file).unwrap().cells
     };
     for cell in sweep("\"scenario.observation.detectionRange\" = [50]") {
         let range = cell.config.scenario.value("observation", "detectionRange");
