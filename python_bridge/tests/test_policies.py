@@ -93,7 +93,7 @@ def test_a_policy_of_a_run_says_what_it_was_trained_with(tmp_path):
     policy = load_policy(POLICIES / "im-iwol-8")
     for overrides, message in (
         ({"observation.distanceScale": 20}, "distances in units of 50.0 m"),
-        ({"control.interval": 0.2}, "decides every 0.1 s"),
+        ({"control.interval": 0.11}, "decides every 0.1 s"),
         ({"observation.ownTurn": "true", "observation.heading": "false"}, "number 2 of observation is"),
     ):
         with pytest.raises(iwol_sumo.Error, match=message):

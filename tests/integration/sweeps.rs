@@ -491,7 +491,8 @@ fn slurm_gets_the_cells_that_can_begin() {
     std::fs::set_permissions(&sbatch, std::fs::Permissions::from_mode(0o755)).expect("a program");
     let rule = "[[rule]]\nwhen = { agents = 6 }\nset = { init_from = { agents = 4 } }\n[grid]\nagents = [4, 6]\n";
     let (cells, _) = FILE.split_once("[[evaluate]]").expect("evaluations");
-    let file = sweep_file(folder.path(), &cells.replace("agents = 4\n", "").replace("[grid]\n", rule));
+    let file =
+        sweep_file(folder.path(), &cells.replace("agents = 4\n", "").replace("[grid]\n", rule));
     let path = format!("{}:{}", folder.path().display(), std::env::var("PATH").expect("a path"));
     let out = folder.path().join("runs");
     let output = succeeds(sweep(&file, &out, &["--slurm"]).env("PATH", path));
