@@ -315,7 +315,14 @@ impl Trial {
             ));
         }
         let constant = self.constant();
-        if !constant.is_empty() {
+        if !self.saw_agents() {
+            findings.push(finding(
+                Severity::Warning,
+                "no-agent",
+                format!("no agent was on the road in {} of the trial", counted(self.steps, "step")),
+                "give more --steps, or begin the route files' time later (`begin` of <traffic>)",
+            ));
+        } else if !constant.is_empty() {
             findings.push(finding(
                 Severity::Warning,
                 "constant-features",
@@ -328,6 +335,11 @@ impl Trial {
 }
 
 impl Trial {
+    /// Returns whether an agent was on the road in the trial, so that there are observations.
+    pub fn saw_agents(&self) -> bool {
+        self.observation.iter().any(|range| range.least <= range.most)
+    }
+
     /// Returns the groups of the observation, e.g. `neighbour_3`, that never changed.
     fn constant(&self) -> Vec<String> {
         let group = |range: &Range| range.name.split('.').next().unwrap_or_default().to_owned();

@@ -549,6 +549,22 @@ fn config_prints_settings_with_their_origins() {
     assert!(failure(&mut iwol(&["config"])).contains("no scenario given"));
 }
 
+/// `-3` is a value that is not allowed, and no unknown option.
+#[test]
+fn negative_numbers_are_refused_with_what_is_allowed() {
+    for (arguments, allowed) in [
+        (
+            &["scenario", "new", "s", "--template", "cross", "--speed", "-3"][..],
+            "allowed: 1 to 70 m/s",
+        ),
+        (&["scenario", "new", "s", "--template", "cross", "--agents", "-3"], "-3 is not in 0.."),
+        (&["sweep", "s.toml", "--jobs", "-1"], "-1 is not in 1..65536"),
+    ] {
+        let said = failure(&mut iwol(arguments));
+        assert!(said.contains(allowed), "{said}");
+    }
+}
+
 /// Values that the method or the scenario does not read are said.
 #[test]
 fn settings_without_effect_are_said() {

@@ -67,8 +67,10 @@ fn print(report: &Report) {
 }
 
 fn print_trial(trial: &Trial) {
-    tell!("{:<32} {:>8} {:>8}  unit", "observation", "minimum", "maximum");
-    for range in &trial.observation {
+    if trial.saw_agents() {
+        tell!("{:<32} {:>8} {:>8}  unit", "observation", "minimum", "maximum");
+    }
+    for range in trial.observation.iter().filter(|_| trial.saw_agents()) {
         tell!(
             "{:<32} {:>8.3} {:>8.3}  {}",
             range.name,

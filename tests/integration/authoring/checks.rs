@@ -10,7 +10,7 @@ use iwol_sumo::scenario::{Scenario, Severity};
 use iwol_sumo::sumo::Hosting;
 
 use super::{SIZES, errors, findings, import, run};
-use crate::support::{folder, root};
+use crate::support::{folder, iwol, root, succeeds, text};
 
 /// Creates a scenario from the template `cross` and replaces parts of its text.
 fn changed(folder: &Path, changes: &[(&str, &str)]) -> PathBuf {
@@ -284,4 +284,12 @@ fn lanes_longer_than_their_shapes_are_named() {
         ),
         "{said}"
     );
+}
+
+#[test]
+fn a_trial_without_agents_says_so() {
+    let file = root().join("scenarios/flow_cross.xml").display().to_string();
+    let said = text(&succeeds(&mut iwol(&["scenario", "check", &file, "--steps", "50"])).stdout);
+    assert!(said.contains("no agent was on the road in 50 steps of the trial"), "{said}");
+    assert!(!said.contains(" inf ") && !said.contains("never changed"), "{said}");
 }
