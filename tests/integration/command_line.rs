@@ -558,7 +558,7 @@ fn negative_numbers_are_refused_with_what_is_allowed() {
             "allowed: 1 to 70 m/s",
         ),
         (&["scenario", "new", "s", "--template", "cross", "--agents", "-3"], "-3 is not in 0.."),
-        (&["sweep", "s.toml", "--jobs", "-1"], "-1 is not in 1..65536"),
+        (&["sweep", "s.toml", "--jobs", "-1"], "-1 is not in 1..=65535"),
     ] {
         let said = failure(&mut iwol(arguments));
         assert!(said.contains(allowed), "{said}");
