@@ -12,11 +12,13 @@ use anyhow::{Context as _, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::checkpoint::Checkpoint;
-use crate::config::{self, Config, Document, PROFILES, Profile, Resolution, TaskSource};
+use crate::config::{
+    self, Change, Config, Document, Layers, PROFILES, Profile, Resolution, TaskSource,
+};
 use crate::driving;
 use crate::ranks::{self, Ranks, Team};
 use crate::sumo::Choice;
-use crate::train::{Report, RunDir, TrainingEnd, human_duration};
+use crate::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
 use crate::words::counted;
 
 use super::config::SettingsArgs;
@@ -36,10 +38,21 @@ pub(super) struct Args {
     resume: bool,
 }
 
-/// Refuses a folder that contains files with the names of a run's files but no run.
-fn refuse_strange(dir: &RunDir, config: Option<&Path>) -> anyhow::Result<()> {
-    let own = |path: &Path| config.is_some_and(|config| same_file(config, path));
-    let strange = |path: &PathBuf| path.exists() && !dir.meta().exists() && !own(path);
+/// Refuses a folder that contains files with the names of a run's files but no run. The file of
+/// `--config` may lie there if it has what the run would write anyway, as a sweep's does.
+fn refuse_strange(dir: &RunDir, given: Option<&Path>, config: &Config) -> anyhow::Result<()> {
+    if dir.meta().exists() {
+        return Ok(());
+    }
+    let own = dir.config();
+    let is_given = given.is_some_and(|given| same_file(given, &own));
+    if is_given && std::fs::read_to_string(&own).is_ok_and(|text| text != config.to_toml()) {
+        bail!(
+            "the run would replace `{}` by its resolved settings; rename the file, or choose another --out",
+            own.display()
+        );
+    }
+    let strange = |path: &PathBuf| path.exists() && !(is_given && *path == own);
     match [dir.config(), dir.scenario(), dir.metrics(), dir.episodes()].into_iter().find(strange) {
         Some(path) => {
             bail!(
@@ -111,156 +124,159 @@ fn common_profile(ranks: &dyn Ranks) -> &'static Profile {
     &PROFILES[usize::from(numbers[0][0])]
 }
 
-fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
-    let given = &args.settings;
-    let mut layers = given.layers(common_profile(&*ranks))?;
-    if let (None, Some(out), true) = (&given.config, &args.out, args.resume) {
-        // A resumed run uses its own settings.
+/// Resolves the settings, and returns them with the run folder. A run that is resumed has the
+/// settings of its folder.
+fn resolved(args: &Args, layers: &mut Layers) -> anyhow::Result<(Resolution, RunDir)> {
+    let own_settings = args.resume && args.settings.config.is_none();
+    if let (Some(out), true) = (&args.out, own_settings) {
         layers.document = Document::read(&RunDir::new(out).config())?;
     }
-    let mut resolution = layers.resolve()?;
+    let resolution = layers.resolve()?;
     if let Some(why) = resolution.config.cannot_be_trained() {
         bail!(why);
     }
-    let first = ranks.rank() == 0;
-    for line in config::unread(&given.set, &resolution.config).into_iter().filter(|_| first) {
-        say!("{line}");
+    if let Some(out) = &args.out {
+        return Ok((resolution, RunDir::new(out)));
     }
-    let scenario = resolution.place.scenario();
-    for line in config::without_effect(&given.set, scenario).into_iter().filter(|_| first) {
-        say!("{line}");
+    let config = &resolution.config;
+    let folder = PathBuf::from("runs")
+        .join(resolution.place.name())
+        .join(&config.algorithm)
+        .join(format!("seed_{}", config.seed));
+    let dir = RunDir::new(folder);
+    if !own_settings {
+        return Ok((resolution, dir));
     }
-    let dir = RunDir::new(args.out.clone().unwrap_or_else(|| {
-        PathBuf::from("runs")
-            .join(resolution.place.name())
-            .join(&resolution.config.algorithm)
-            .join(format!("seed_{}", resolution.config.seed))
-    }));
-    if args.resume && given.config.is_none() && args.out.is_none() {
-        // The run folder is known only now; a resumed run uses its own settings.
-        layers.document = Document::read(&dir.config())?;
-        resolution = layers.resolve()?;
-    }
-    let replacement = resolution.replacement().filter(|_| args.resume);
-    let Resolution { config, place, profile, origins, .. } = resolution;
-    for line in config::overruled(&layers, &origins).into_iter().filter(|_| first) {
-        say!("{line}");
-    }
-    if !args.resume && dir.last().exists() {
-        bail!(
-            "`{}` already contains a run; add --resume to continue it, or choose another --out",
-            dir.path().display()
-        );
-    }
-    if !args.resume && dir.best().exists() {
-        bail!(
-            "`{}` contains a policy; start from it with --init-from, and choose another --out",
-            dir.path().display()
-        );
-    }
+    // The folder is known only now.
+    layers.document = Document::read(&dir.config())?;
+    Ok((layers.resolve()?, dir))
+}
+
+/// Checks that the folder has the run that is to be resumed, or room for a new one.
+fn check_folder(
+    args: &Args,
+    dir: &RunDir,
+    config: &Config,
+    place: &TaskSource,
+) -> anyhow::Result<()> {
+    let folder = dir.path().display();
+    let (resumable, has_policy) = (dir.last().exists(), dir.best().exists());
     if !args.resume {
-        refuse_remains(&dir)?;
+        if resumable {
+            bail!(
+                "`{folder}` already contains a run; add --resume to continue it, or choose another --out"
+            );
+        }
+        if has_policy {
+            bail!(
+                "`{folder}` contains a policy; start from it with --init-from, and choose another --out"
+            );
+        }
+        refuse_remains(dir)?;
+        return refuse_strange(dir, args.settings.config.as_deref(), config);
     }
-    if args.resume && !dir.last().exists() && dir.best().exists() {
+    if !resumable && has_policy {
         bail!(
-            "`{}` contains a policy, but not the state from which a training continues (checkpoints/last.safetensors); start from the policy with --init-from, and choose another --out",
-            dir.path().display()
+            "`{folder}` contains a policy, but not the state from which a training continues (checkpoints/last.safetensors); start from the policy with --init-from, and choose another --out"
         );
     }
-    if args.resume && !dir.last().exists() {
+    if !resumable {
         bail!(
-            "`{}` contains no checkpoint to continue from; a training writes the first one before its first validation. Start it without --resume",
-            dir.path().display()
+            "`{folder}` contains no checkpoint to continue from; a training writes the first one before its first validation. Start it without --resume"
         );
     }
-    if args.resume && given.init_from.is_some() {
+    if args.settings.init_from.is_some() {
         bail!("--resume continues with the weights of the run; omit --init-from");
     }
     let fingerprint = place.fingerprint();
-    let is_other = args.resume && dir.fingerprint().is_some_and(|was| was != fingerprint);
-    if is_other && place.scenario().is_none() {
-        bail!("`{}` was started in another environment than {fingerprint}", dir.path().display());
-    }
-    if is_other {
-        bail!(
-            "`{}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
+    match dir.fingerprint().filter(|was| *was != fingerprint) {
+        None => Ok(()),
+        Some(_) if place.scenario().is_none() => {
+            bail!("`{folder}` was started in another environment than {fingerprint}")
+        }
+        Some(_) => bail!(
+            "`{folder}` was started with another scenario, or `{}` or a net or route file that it names has changed since then; resume with \
              the original scenario, or start a new run from this run's policy with --init-from",
-            dir.path().display(),
-            place_of(&config)
-        );
+            place_of(config)
+        ),
     }
+}
+
+/// Returns the trainer of a new run, or of the run in the folder with the settings that have changed
+/// since its checkpoint.
+fn trainer_of(
+    args: &Args,
+    dir: &RunDir,
+    config: &Config,
+    place: &TaskSource,
+    team: &Team,
+) -> anyhow::Result<(Trainer, Vec<Change>)> {
     if !args.resume {
-        refuse_strange(&dir, given.config.as_deref())?;
+        return Ok((driving::train_in(config.clone(), place, None, team)?, Vec::new()));
     }
-    let (first, size) = (ranks.rank() == 0, ranks.size());
-    let _claim = first.then(|| dir.lock()).transpose()?;
-    let team = Team::new(ranks, super::stop_flag()?);
-    let stop = Arc::clone(&team.stop);
-    let mut agents = counted(config.agents, "agent");
-    let mut mixed = false;
-    if let TaskSource::Scenario(scenario) = &place {
-        let learners = scenario.slots(config.agents);
-        if learners < config.agents {
-            agents = format!("{}, of which {learners} learn", counted(config.agents, "vehicle"));
-        }
-        mixed = scenario.traffic.is_mixed(config.agents);
-    }
-    let mut changes = Vec::new();
-    let mut trainer = if args.resume {
-        let checkpoint = Checkpoint::load(&dir.last())?;
-        if checkpoint.algorithm != config.algorithm {
-            bail!(
-                "`{}` is a run of {}, not of {}",
-                dir.path().display(),
-                checkpoint.algorithm,
-                config.algorithm
-            );
-        }
-        changes = config::changes(&checkpoint.config, &config.to_toml());
-        driving::train_in(config.clone(), &place, Some(&checkpoint), &team)?
-    } else {
-        driving::train_in(config.clone(), &place, None, &team)?
-    };
-    // The first process writes the run. The others, which compute the same, keep what they write to
-    // themselves, and say nothing.
-    let aside = tempfile::tempdir().context("cannot create a temporary folder")?;
-    let dir = if first { dir } else { RunDir::new(aside.path()) };
-    super::be_quiet(!first);
-    if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
+    let checkpoint = Checkpoint::load(&dir.last())?;
+    if checkpoint.algorithm != config.algorithm {
         bail!(
-            "`{}` is over after {} steps, so {change} would change nothing; allow more with --steps, or start a new run with --init-from",
+            "`{}` is a run of {}, not of {}",
             dir.path().display(),
-            trainer.progress().step
+            checkpoint.algorithm,
+            config.algorithm
         );
     }
+    let changes = config::changes(&checkpoint.config, &config.to_toml());
+    let trainer = driving::train_in(config.clone(), place, Some(&checkpoint), team)?;
+    Ok((trainer, changes))
+}
+
+/// Describes the worlds and their SUMOs, in words.
+fn worlds_of(config: &Config, place: &TaskSource) -> String {
+    let (hosting, worlds) = (config.hosting(), config.train.envs);
+    match place {
+        TaskSource::Scenario(_) if is_mixed(config, place) => {
+            hosting.alone(worlds).describe(worlds)
+        }
+        TaskSource::Scenario(_) => hosting.describe(worlds),
+        TaskSource::Environment(_) => format!("{} without SUMO", counted(worlds, "world")),
+    }
+}
+
+/// Returns whether there is background traffic, which needs a SUMO per world.
+fn is_mixed(config: &Config, place: &TaskSource) -> bool {
+    place.scenario().is_some_and(|scenario| scenario.traffic.is_mixed(config.agents))
+}
+
+/// Says what is trained, where and with which settings that a user may not expect.
+fn announce(
+    args: &Args,
+    resolution: &Resolution,
+    trainer: &Trainer,
+    changes: &[Change],
+    processes: usize,
+) {
+    let Resolution { config, place, profile, .. } = resolution;
+    let learners = place.scenario().map_or(config.agents, |scenario| scenario.slots(config.agents));
+    let agents = if learners < config.agents {
+        format!("{}, of which {learners} learn", counted(config.agents, "vehicle"))
+    } else {
+        counted(config.agents, "agent")
+    };
     let (deployed, all) = trainer.learner().parameters();
     say!(
-        "{} on {} with {agents}, seed {}: {} parameters ({} in the deployed policy)",
+        "{} on {} with {agents}, seed {}: {all} parameters ({deployed} in the deployed policy)",
         config.algorithm,
-        place_of(&config),
-        config.seed,
-        all,
-        deployed
+        place_of(config),
+        config.seed
     );
-    if let Some(line) = replacement {
+    if let Some(line) = resolution.replacement().filter(|_| args.resume) {
         say!("{line}");
     }
     for change in changes {
         say!("the run continues with another setting: {change}");
     }
-    let hosting = config.hosting();
-    let worlds = match &place {
-        TaskSource::Scenario(_) if mixed => {
-            hosting.alone(config.train.envs).describe(config.train.envs)
-        }
-        TaskSource::Scenario(_) => hosting.describe(config.train.envs),
-        TaskSource::Environment(_) => {
-            format!("{} without SUMO", counted(config.train.envs, "world"))
-        }
-    };
     let ppo = &config.learner.ppo;
     say!(
-        "{worlds}, minibatches of {} samples in {} on {}{}",
+        "{}, minibatches of {} samples in {} on {}{}",
+        worlds_of(config, place),
         ppo.minibatch,
         counted(ppo.shards, "shard"),
         String::from(config.device),
@@ -275,25 +291,41 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             annealing.min(config.steps / 2)
         );
     }
-    if size > 1 {
-        say!("{size} processes divide worlds and updates among them");
+    if processes > 1 {
+        say!("{processes} processes divide worlds and updates among them");
     }
-    if mixed && config.simulation.backend == Choice::Libsumo && config.train.envs > 1 {
+    let libsumo = config.simulation.backend == Choice::Libsumo;
+    if libsumo && config.train.envs > 1 && is_mixed(config, place) {
         say!(
             "mixed traffic needs a SUMO per world, and libsumo runs one per process: TraCI is used"
         );
     }
-    dir.begin_meta(&config, trainer.progress(), &fingerprint, &worlds)?;
-    let bar = ProgressBar::new(config.steps);
-    bar.set_style(
-        ProgressStyle::with_template("{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}")
+}
+
+/// The progress of a training on standard error: a bar in a terminal, else a line at most every ten
+/// seconds.
+struct ProgressView {
+    bar: ProgressBar,
+    terminal: bool,
+    last_line: Instant,
+    steps: u64,
+}
+
+impl ProgressView {
+    fn new(steps: u64, begun: u64, terminal: bool) -> Self {
+        let bar = ProgressBar::new(steps);
+        bar.set_style(
+            ProgressStyle::with_template(
+                "{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}",
+            )
             .expect("a valid template"),
-    );
-    bar.set_position(trainer.progress().step);
-    bar.reset_eta();
-    let terminal = first && std::io::stderr().is_terminal();
-    let mut last_line = Instant::now();
-    let outcome = trainer.run(&dir, &stop, &mut |report: &Report| {
+        );
+        bar.set_position(begun);
+        bar.reset_eta();
+        Self { bar, terminal, last_line: Instant::now(), steps }
+    }
+
+    fn show(&mut self, report: &Report) {
         let percent = |share: Option<f64>| {
             share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s))
         };
@@ -303,15 +335,53 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
             percent(report.training_success),
             percent(report.validation_success)
         );
-        if terminal {
-            bar.set_position(report.step);
-            bar.set_message(message);
-        } else if last_line.elapsed() > Duration::from_secs(10) || report.step >= config.steps {
-            last_line = Instant::now();
+        if self.terminal {
+            self.bar.set_position(report.step);
+            self.bar.set_message(message);
+        } else if self.last_line.elapsed() > Duration::from_secs(10) || report.step >= self.steps {
+            self.last_line = Instant::now();
             say!("{:>9} steps  {message}", report.step);
         }
-    });
-    bar.finish_and_clear();
+    }
+}
+
+fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
+    let (first, processes) = (ranks.rank() == 0, ranks.size());
+    let given = &args.settings;
+    let mut layers = given.layers(common_profile(&*ranks))?;
+    let (resolution, dir) = resolved(args, &mut layers)?;
+    let Resolution { config, place, origins, .. } = &resolution;
+    let idle = config::unread(&given.set, config)
+        .into_iter()
+        .chain(config::without_effect(&given.set, place.scenario()))
+        .chain(config::overruled(&layers, origins));
+    for line in idle.filter(|_| first) {
+        say!("{line}");
+    }
+    check_folder(args, &dir, config, place)?;
+    let _claim = first.then(|| dir.lock()).transpose()?;
+    let team = Team::new(ranks, super::stop_flag()?);
+    let stop = Arc::clone(&team.stop);
+    let (mut trainer, changes) = trainer_of(args, &dir, config, place, &team)?;
+    // The first process writes the run. The others, which compute the same, keep what they write to
+    // themselves, and say nothing.
+    let aside = tempfile::tempdir().context("cannot create a temporary folder")?;
+    let dir = if first { dir } else { RunDir::new(aside.path()) };
+    super::be_quiet(!first);
+    if let Some(change) = changes.first().filter(|_| trainer.is_over()) {
+        bail!(
+            "`{}` is over after {} steps, so {change} would change nothing; allow more with --steps, or start a new run with --init-from",
+            dir.path().display(),
+            trainer.progress().step
+        );
+    }
+    announce(args, &resolution, &trainer, &changes, processes);
+    let worlds = worlds_of(config, place);
+    dir.begin_meta(config, trainer.progress(), &place.fingerprint(), &worlds)?;
+    let terminal = first && std::io::stderr().is_terminal();
+    let mut view = ProgressView::new(config.steps, trainer.progress().step, terminal);
+    let outcome = trainer.run(&dir, &stop, &mut |report: &Report| view.show(report));
+    view.bar.finish_and_clear();
     let outcome = outcome.with_context(|| {
         let kept = if dir.last().exists() {
             format!("; continue with: {} train --resume --out {}", program(), word(dir.path()))

@@ -88,14 +88,18 @@ pub fn overruled(layers: &Layers, origins: &Origins) -> Vec<String> {
         let same = |own: &str| full_name(own.trim()) == full_name(key);
         let flag = layers.flags.iter().find(|(own, _)| same(own));
         let flag = flag.map(|(own, _)| format!("--{}", own.rsplit('.').next().unwrap_or(own)));
-        let mut later = layers.sets[i + 1..].iter();
-        let last = later.rfind(|set| set.split_once('=').is_some_and(|(own, _)| same(own)));
-        let stronger = flag.or_else(|| last.map(|set| format!("--set {set}")));
+        let later = layers.sets[i + 1..].iter().rev();
+        let last = later.filter_map(|set| set.split_once('=')).find(|(own, _)| same(own));
+        // The same value given twice has its effect.
+        let last = last.filter(|(_, other)| other.trim() != value.trim());
+        let stronger = flag.or_else(|| last.map(|(own, other)| format!("--set {own}={other}")));
         Some((format!("--set {set}"), key, value.trim(), stronger))
     });
     let mut lines = Vec::new();
     for (option, key, name, stronger) in flags.chain(sets) {
-        let is_given = |key: &str| matches!(origins.get(key), Some(Origin::Given(_)));
+        // An environment without SUMO has none of a preset's settings of scenarios.
+        let is_given =
+            |key: &str| origins.get(key).is_none_or(|origin| matches!(origin, Origin::Given(_)));
         let all_given = match key {
             "preset" => Preset::named(name)
                 .is_some_and(|preset| flatten(&preset.table()).keys().all(|key| is_given(key))),

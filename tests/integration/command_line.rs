@@ -505,6 +505,13 @@ fn strange_files_are_left_alone() {
     std::fs::write(dir.path().join("config.toml"), "precious = true").expect("written");
     let said = failure(iwol(&["train", "--scenario", SCENARIO, "--out"]).arg(dir.path()));
     assert!(said.contains("config.toml` already exists and does not belong to a run"), "{said}");
+    let own = dir.path().join("config.toml");
+    std::fs::write(&own, "# precious\nseed = 3\n").expect("written");
+    let mut train = iwol(&["train", "--scenario", SCENARIO, "--config"]);
+    let said = failure(train.arg(&own).arg("--out").arg(dir.path()));
+    assert!(said.contains("config.toml` by its resolved settings; rename the file"), "{said}");
+    let left = std::fs::read_to_string(&own).expect("the file");
+    assert_eq!(left, "# precious\nseed = 3\n");
     let nowhere = dir.path().join("no/such/file.json");
     let mut evaluate = iwol(&[
         "evaluate",

@@ -199,6 +199,33 @@ fn pages_name_every_experiment() {
     }
 }
 
+/// The table of scenarios has a row for each, with its numbers of agents, and each trained policy.
+#[test]
+fn the_table_of_scenarios_is_complete() {
+    let page = Page::read(Path::new("docs/guide/scenarios.md")).text;
+    let mut scenarios = 0;
+    for entry in fs::read_dir(root().join("scenarios")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_some_and(|end| end == "xml") {
+            let name = path.file_stem().and_then(|name| name.to_str()).expect("a name");
+            let file = iwol_sumo::scenario::ScenarioFile::read(&path).expect("a scenario");
+            let agents = &file.scenario.agents;
+            let row = format!("| `{name}` | {}, {}, {} |", agents.min, agents.default, agents.max);
+            assert!(page.contains(&row), "docs/guide/scenarios.md lacks `{row}`");
+            scenarios += 1;
+        }
+    }
+    assert!(scenarios >= 17, "the scan finds scenarios: {scenarios}");
+    for entry in fs::read_dir(root().join("policies")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let name = path.file_name().and_then(|name| name.to_str()).expect("a name");
+        // The policy of the traffic junction belongs to a task without SUMO.
+        if path.is_dir() && name != "traffic-junction-ex-iwol" {
+            assert!(page.contains(&format!("`{name}`")), "docs/guide/scenarios.md lacks `{name}`");
+        }
+    }
+}
+
 /// Rows of tables that are copied from the report on four to 48 vehicles are as they stand there.
 #[test]
 fn tables_of_results_are_those_of_the_report() {

@@ -304,6 +304,19 @@ fn options_without_effect_are_told() {
             "--set ppo.gamma = 0.8 has no effect: --set ppo.gamma=0.7 is given, too"
         ]
     );
+    assert!(told("", &["ppo.gamma=0.9", "ppo.gamma = 0.9"], &[]).is_empty());
+    let environment = "environment = \"navigation\"\n";
+    let layers = |text: String| Layers {
+        document: Document::of_run("c.toml".to_owned(), text),
+        flags: vec![("preset", "paper".into())],
+        ..Layers::default()
+    };
+    let whole = layers(environment.to_owned()).resolve().unwrap().config.to_toml();
+    let resumed = layers(whole);
+    assert_eq!(
+        overruled(&resumed, &resumed.resolve().unwrap().origins),
+        ["--preset paper has no effect: c.toml gives all of its settings"]
+    );
     let some = [("preset", "steering"), ("profile", "workstation")];
     assert!(told("ppo.gamma = 0.5\ntrain.envs = 3", &["seed=3"], &some).is_empty());
     // These are the settings that profiles change.
