@@ -19,20 +19,19 @@ mod setup;
 #[cfg(test)]
 mod tests;
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use serde::Serialize;
 use tch::{Kind, Tensor};
 
-use crate::algo::{Algorithm, Losses, UpdateParameters};
+use crate::algo::{self, Algorithm, Losses, Stop, UpdateParameters};
 use crate::checkpoint::{Checkpoint, Progress};
 use crate::config::Config;
 use crate::env::{Environment, EpisodeRecord, WorldState};
 use crate::evaluate::{Evaluation, EvaluationObserver, LearnedPolicy, Policy, evaluate};
 use crate::fnv::Fnv;
-use crate::ranks::{Ranks, Team};
+use crate::ranks::Team;
 use crate::rng::Seed;
 use crate::rollout::Rollout;
 use ahead::Ahead;
@@ -93,12 +92,26 @@ impl Mark {
     }
 }
 
+/// What says that an iteration is to be given up. Among several processes, all must get the same
+/// answer to the same question.
+#[derive(Clone, Copy)]
+struct Stops<'a> {
+    /// Asked after each step of the worlds.
+    rollout: Stop<'a>,
+    /// Asked before each gradient step.
+    update: Stop<'a>,
+}
+
+impl Stops<'_> {
+    const NEVER: Self = Self { rollout: &|| false, update: &|| false };
+}
+
 /// A learner and the worlds in which it trains.
 pub struct Trainer {
     config: Config,
     environment: Box<dyn Environment>,
     learner: Box<dyn Algorithm>,
-    ranks: Arc<dyn Ranks>,
+    team: Team,
     rollout: Rollout,
     /// The next rollout, where it is played beside the update.
     ahead: Option<Ahead>,
@@ -167,11 +180,21 @@ impl Trainer {
     /// # Errors
     /// If worlds cannot go on or training diverges.
     pub fn iterate(&mut self) -> Result<Losses, Error> {
+        self.iterate_until(Stops::NEVER)
+    }
+
+    /// Runs one iteration. One that is given up leaves the learner and the progress as they were
+    /// before; only the worlds have gone on.
+    ///
+    /// # Errors
+    /// As [`Trainer::iterate`], and [`Error::Stopped`].
+    fn iterate_until(&mut self, stops: Stops<'_>) -> Result<Losses, Error> {
         let begin = Instant::now();
+        self.collector.finished.clear();
         let losses = match self.ahead.take() {
-            None => self.iterate_in_turn(),
+            None => self.iterate_in_turn(stops),
             Some(mut ahead) => {
-                let losses = self.iterate_ahead(&mut ahead);
+                let losses = self.iterate_ahead(&mut ahead, stops);
                 self.ahead = Some(ahead);
                 losses
             }
@@ -181,23 +204,29 @@ impl Trainer {
     }
 
     /// Plays a rollout, then learns from it.
-    fn iterate_in_turn(&mut self) -> Result<Losses, Error> {
+    fn iterate_in_turn(&mut self, stops: Stops<'_>) -> Result<Losses, Error> {
         let seed = self.iteration_seed(0);
-        self.collect(seed.child("noise"))?;
+        self.collect(seed.child("noise"), stops)?;
+        let before = self.progress.clone();
         let parameters = self.advance();
         let learner = &mut self.learner;
-        let losses = timed(&mut self.collector.timers.update, || {
-            learner.update(&self.rollout, &parameters, seed.child("update"))
-        })?;
+        let updated = timed(&mut self.collector.timers.update, || {
+            learner.update_until(&self.rollout, &parameters, seed.child("update"), stops.update)
+        });
+        if let Err(algo::Error::Stopped) = updated {
+            self.progress = before;
+            return Err(Error::Stopped);
+        }
+        let losses = updated?;
         self.agree()?;
         self.progress.iteration += 1;
         Ok(losses)
     }
 
     /// Plays a rollout with the present policy.
-    fn collect(&mut self, seed: Seed) -> Result<(), Error> {
+    fn collect(&mut self, seed: Seed, stops: Stops<'_>) -> Result<(), Error> {
         let player = Exploring { policy: &*self.learner, log_std: self.log_std() };
-        self.collector.collect(&self.config, player, &mut self.rollout, seed)
+        self.collector.collect(&self.config, player, &mut self.rollout, seed, stops)
     }
 
     /// Returns the seed of an iteration, counted from the present one.
@@ -219,7 +248,7 @@ impl Trainer {
 
     /// Checks that all processes have the same weights.
     fn agree(&self) -> Result<(), Error> {
-        if self.ranks.size() == 1 {
+        if self.team.ranks.size() == 1 {
             return Ok(());
         }
         let mut hash = Fnv::new();
@@ -230,7 +259,7 @@ impl Trainer {
                 hash.bytes(&number.to_ne_bytes());
             }
         }
-        let all = self.ranks.all_gather(&hash.value().to_ne_bytes());
+        let all = self.team.ranks.all_gather(&hash.value().to_ne_bytes());
         let same = all.iter().all(|other| *other == all[0]);
         same.then_some(()).ok_or(Error::Diverged { iteration: self.progress.iteration })
     }
@@ -280,7 +309,9 @@ impl Trainer {
     }
 
     /// Trains until all steps are done, the criterion for early stopping is met or `stop` is set,
-    /// and writes the run's files.
+    /// and writes the run's files. When `stop` is set in the middle of an iteration, the iteration is
+    /// given up, the last checkpoint is the state before it, and training goes on from the
+    /// checkpoint ([`Trainer::resume`]) rather than with this trainer, whose worlds have gone on.
     ///
     /// # Errors
     /// Any [`Error`]. The last checkpoint stays usable. If the simulation failed, it is the state
@@ -298,6 +329,10 @@ impl Trainer {
             self.progress.step,
             self.progress.validated,
         )?;
+        let team = self.team.clone();
+        let rollout = || stop.load(Ordering::Relaxed);
+        let update = || rollout() || team.ranks.size() > 1 && team.must_stop();
+        let stops = Stops { rollout: &rollout, update: &update };
         let mut validation_success = None;
         let outcome = loop {
             if stop.load(Ordering::Relaxed) {
@@ -324,15 +359,19 @@ impl Trainer {
             }
             let before = (self.progress.step, self.progress.seconds);
             self.collector.timers = Timers::default();
-            self.collector.finished.clear();
             let begin = self.ahead.is_none().then(|| self.collector.mark());
-            let losses = match self.iterate() {
-                // A failed rollout has changed only the worlds, so it can be repeated from its
+            let losses = match self.iterate_until(stops) {
+                // Only the worlds have gone on, so that the iteration can be repeated from its
                 // beginning.
-                Err(error @ Error::Env(_)) => {
+                Err(error @ (Error::Env(_) | Error::Stopped)) => {
                     let begin = begin.map(|begin| self.checkpoint_at(begin));
-                    begin.unwrap_or_else(|| self.checkpoint()).save(&dir.last())?;
-                    return Err(error);
+                    let begin = begin.unwrap_or_else(|| self.checkpoint());
+                    let Error::Stopped = error else {
+                        begin.save(&dir.last())?;
+                        return Err(error);
+                    };
+                    self.end(&begin, dir, &files)?;
+                    return Ok(TrainingEnd::Interrupted);
                 }
                 other => other?,
             };
@@ -346,13 +385,19 @@ impl Trainer {
                 validation_success,
             });
         };
+        self.end(&self.checkpoint(), dir, &files)?;
+        Ok(outcome)
+    }
+
+    /// Writes the checkpoint at the end of a call of [`Trainer::run`].
+    fn end(&self, checkpoint: &Checkpoint, dir: &RunDir, files: &Files) -> Result<(), Error> {
         files.sync()?;
         dir.update_meta(&self.progress)?;
-        self.checkpoint().save(&dir.last())?;
+        checkpoint.save(&dir.last())?;
         if !dir.best().exists() {
-            self.checkpoint().save(&dir.best())?;
+            checkpoint.save(&dir.best())?;
         }
-        Ok(outcome)
+        Ok(())
     }
 
     /// Records a validation, updates the schedule, and saves the last checkpoint and, if it

@@ -22,7 +22,9 @@ use super::parameters::{
 };
 use super::ppo::MAX_GRAD_NORM;
 use super::settings::{NoiseMode, Settings};
-use super::{Algorithm, Channel, ChannelNoise, Error, Losses, UpdateParameters, check_agents};
+use super::{
+    Algorithm, Channel, ChannelNoise, Error, Losses, Stop, UpdateParameters, check_agents,
+};
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
 use crate::ranks::{self, Ranks};
@@ -364,12 +366,16 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
         all.iter().map(|one| one.to(Device::Cpu)).collect()
     }
 
-    fn update(
+    fn update_until(
         &mut self,
         rollout: &Rollout,
         parameters: &UpdateParameters,
         seed: Seed,
+        stop: Stop<'_>,
     ) -> Result<Losses, Error> {
+        // The state consists of views of weights and moments.
+        let before: Vec<_> =
+            self.state().into_iter().map(|(name, tensor)| (name, tensor.copy())).collect();
         let mut settings = self.settings.clone();
         settings.ppo.entropy_coefficient = parameters.entropy_coefficient;
         let (ppo, network) = (&settings.ppo, &settings.network);
@@ -394,6 +400,10 @@ impl<N: Networks> Algorithm for ActorCritic<N> {
             for parts in
                 minibatches(rollout, length, ppo.minibatch, self.shards, self.device, order)
             {
+                if stop() {
+                    self.load(&before)?;
+                    return Err(Error::Stopped);
+                }
                 let rate = |group| N::rate(group, pass, parameters.learning_rate);
                 means.add(&self.step(&batch, parts, &settings, rate)?);
             }

@@ -36,6 +36,9 @@ pub enum Error {
         /// The quantity that is not finite.
         what: &'static str,
     },
+    /// The caller gave up an update.
+    #[error("the update was stopped")]
+    Stopped,
     /// A stored state was trained with another number of agents, to which the algorithm is bound.
     #[error(
         "{algorithm} has parameters for each of {trained} agents and cannot be used with {agents}; use the same number of agents as \

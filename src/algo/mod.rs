@@ -284,6 +284,9 @@ pub struct UpdateParameters {
     pub entropy_coefficient: f64,
 }
 
+/// Says whether an update is to be given up.
+pub type Stop<'a> = &'a (dyn Fn() -> bool + Sync);
+
 /// Named diagnostics of an update, under the names that are usual in the field.
 pub type Losses = Vec<(&'static str, f64)>;
 
@@ -352,6 +355,22 @@ pub trait Algorithm: Send {
         rollout: &Rollout,
         parameters: &UpdateParameters,
         seed: Seed,
+    ) -> Result<Losses, Error> {
+        self.update_until(rollout, parameters, seed, &|| false)
+    }
+
+    /// Updates policy and value as [`Algorithm::update`] does, and gives the update up once `stop`,
+    /// which it may ask before each gradient step, returns true. The learner is then as before.
+    /// Among several processes, all ask equally often.
+    ///
+    /// # Errors
+    /// As [`Algorithm::update`], and [`Error::Stopped`] when the update was given up.
+    fn update_until(
+        &mut self,
+        rollout: &Rollout,
+        parameters: &UpdateParameters,
+        seed: Seed,
+        stop: Stop<'_>,
     ) -> Result<Losses, Error>;
 
     /// Exchanges the policy's weights with their average, if one is kept. An evaluation calls it

@@ -17,7 +17,7 @@ pub(crate) mod threads;
 
 use std::ops::Range;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use bytemuck::Pod;
 
@@ -46,7 +46,8 @@ pub struct Team {
     pub ranks: Arc<dyn Ranks>,
     /// Set when this process is to stop.
     pub asked: Arc<AtomicBool>,
-    /// Set in all processes, in the same step, once one of them has been asked to stop.
+    /// Set in all processes, in the same step of the worlds or before the same gradient step, once
+    /// one of them has been asked to stop.
     pub stop: Arc<AtomicBool>,
 }
 
@@ -60,6 +61,16 @@ impl Team {
     /// Returns the team of a training in one process.
     pub fn alone() -> Self {
         Self::new(Arc::new(Alone), Arc::default())
+    }
+
+    /// Returns whether any process has been asked to stop, and sets `stop` then. All processes must
+    /// call it equally often; they get the same answer.
+    pub(crate) fn must_stop(&self) -> bool {
+        let asked = [u8::from(self.asked.load(Ordering::Relaxed))];
+        if self.ranks.all_gather(&asked).concat().contains(&1) {
+            self.stop.store(true, Ordering::Relaxed);
+        }
+        self.stop.load(Ordering::Relaxed)
     }
 }
 

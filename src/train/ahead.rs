@@ -2,9 +2,10 @@
 //! one is played with the policy from before the update.
 
 use super::collect::Exploring;
-use super::{Error, Mark, Trainer, timed};
-use crate::algo::{Algorithm, Losses};
+use super::{Error, Mark, Stops, Trainer, timed};
+use crate::algo::{self, Algorithm, Losses};
 use crate::checkpoint::{Checkpoint, Player};
+use crate::env::EpisodeRecord;
 use crate::rollout::Rollout;
 
 /// The rollout that comes next, and the policy that plays it.
@@ -16,7 +17,11 @@ pub(super) struct Ahead {
     /// State before the rollout.
     mark: Mark,
     rollout: Rollout,
+    /// The episodes that ended in the rollout.
+    finished: Vec<EpisodeRecord>,
     is_played: bool,
+    /// Why the rollout could not be played.
+    failure: Option<Error>,
 }
 
 impl Ahead {
@@ -37,8 +42,15 @@ impl Ahead {
             player.load(&trainer.learner.state())?;
             trainer.log_std()
         };
-        let rollout = trainer.rollout.clone();
-        Ok(Self { player, log_std, mark: trainer.collector.mark(), rollout, is_played: false })
+        Ok(Self {
+            player,
+            log_std,
+            mark: trainer.collector.mark(),
+            rollout: trainer.rollout.clone(),
+            finished: Vec::new(),
+            is_played: false,
+            failure: None,
+        })
     }
 
     /// Returns what a checkpoint needs to play the rollout again.
@@ -49,22 +61,37 @@ impl Ahead {
 }
 
 impl Trainer {
-    /// Learns from one rollout while the next one is played. After an error of the worlds, the
-    /// rollout can be played again from a checkpoint.
+    /// Learns from one rollout while the next one is played. If that one fails, the next iteration
+    /// returns its error, and it can be played again from a checkpoint.
     ///
     /// # Errors
-    /// As [`Trainer::iterate`].
-    pub(super) fn iterate_ahead(&mut self, ahead: &mut Ahead) -> Result<Losses, Error> {
+    /// As [`Trainer::iterate_until`].
+    pub(super) fn iterate_ahead(
+        &mut self,
+        ahead: &mut Ahead,
+        stops: Stops<'_>,
+    ) -> Result<Losses, Error> {
+        if let Some(failure) = ahead.failure.take() {
+            return Err(failure);
+        }
         let seed = self.iteration_seed(0);
         if !ahead.is_played {
             let player = Exploring { policy: &*ahead.player, log_std: ahead.log_std };
             let noise = seed.child("noise");
-            self.collector.collect(&self.config, player, &mut ahead.rollout, noise)?;
+            self.collector.collect(&self.config, player, &mut ahead.rollout, noise, stops)?;
+            ahead.finished = std::mem::take(&mut self.collector.finished);
+        }
+        let (progress, (mark, mut player)) = (self.progress.clone(), ahead.resume());
+        for (_, tensor) in &mut player.learner {
+            *tensor = tensor.copy();
         }
         std::mem::swap(&mut self.rollout, &mut ahead.rollout);
+        let finished = std::mem::take(&mut ahead.finished);
+        // The player's deviation is that of its weights, from before the update.
+        let log_std = self.log_std();
         let parameters = self.advance();
         ahead.player.load(&self.learner.state())?;
-        (ahead.log_std, ahead.mark) = (parameters.log_std, self.collector.mark());
+        (ahead.log_std, ahead.mark) = (log_std, self.collector.mark());
         // No update learns from what would be played after the last update.
         let goes_on = self.progress.step < self.config.steps;
         let noise = self.iteration_seed(1).child("noise");
@@ -74,12 +101,13 @@ impl Trainer {
                 // Each thread has its own number of libtorch's threads.
                 tch::set_num_threads(1);
                 let mut seconds = 0.0;
-                let update = || learner.update(rollout, &parameters, seed.child("update"));
+                let seed = seed.child("update");
+                let update = || learner.update_until(rollout, &parameters, seed, stops.update);
                 (timed(&mut seconds, update), seconds)
             });
             let player = Exploring { policy: &*ahead.player, log_std: ahead.log_std };
             let played = if goes_on {
-                self.collector.collect(&self.config, player, &mut ahead.rollout, noise)
+                self.collector.collect(&self.config, player, &mut ahead.rollout, noise, stops)
             } else {
                 Ok(())
             };
@@ -87,9 +115,18 @@ impl Trainer {
         });
         let (losses, seconds) = updated.unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         self.collector.timers.update += seconds;
+        ahead.finished = std::mem::replace(&mut self.collector.finished, finished);
         ahead.is_played = goes_on && played.is_ok();
+        if let Err(algo::Error::Stopped) = losses {
+            // Both rollouts are played again.
+            self.progress = progress;
+            ahead.player.load(&player.learner)?;
+            (ahead.log_std, ahead.mark, ahead.is_played) = (player.log_std, mark, false);
+            return Err(Error::Stopped);
+        }
         let losses = losses?;
         self.progress.iteration += 1;
-        played.map(|()| losses)
+        ahead.failure = played.err();
+        Ok(losses)
     }
 }

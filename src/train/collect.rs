@@ -4,7 +4,7 @@ use tch::Tensor;
 
 use super::last_action::LastAction;
 use super::noise::CorrelatedNoise;
-use super::{Error, Mark, Timers, timed};
+use super::{Error, Mark, Stops, Timers, timed};
 use crate::algo::settings::NoiseMode;
 use crate::algo::{self, ActMode, Algorithm, Channel, Observation};
 use crate::config::Config;
@@ -22,7 +22,7 @@ pub(super) struct Collector {
     /// Whether the noise of each dimension of an action may last.
     pub noise_lasts: Vec<bool>,
     pub last_action: LastAction,
-    /// Training episodes that ended in the last iteration.
+    /// Training episodes that ended in the rollout from which the last iteration learned.
     pub finished: Vec<EpisodeRecord>,
     pub timers: Timers,
 }
@@ -44,13 +44,15 @@ impl Collector {
     /// Plays as many steps as the rollout has, in all worlds, and stores them.
     ///
     /// # Errors
-    /// If a world fails and the environment cannot recover it ([`Error::Env`]).
+    /// If a world fails and the environment cannot recover it ([`Error::Env`]), and
+    /// [`Error::Stopped`].
     pub(super) fn collect(
         &mut self,
         config: &Config,
         player: Exploring<'_>,
         rollout: &mut Rollout,
         seed: Seed,
+        stops: Stops<'_>,
     ) -> Result<(), Error> {
         let Exploring { policy, log_std } = player;
         let s = rollout.sizes;
@@ -121,6 +123,9 @@ impl Collector {
             let actions = rollout.at(t, s.actions);
             timed(&mut self.timers.simulate, || self.worlds.step(&rollout.action[actions]))?;
             self.finished.extend(self.worlds.take_finished());
+            if (stops.rollout)() {
+                return Err(Error::Stopped);
+            }
             timed(&mut self.timers.copy, || {
                 for e in 0..self.worlds.count() {
                     let (frame, cell) = (self.worlds.view(e).frame, rollout.cell(t, e, 1));
@@ -231,8 +236,8 @@ mod tests {
             (config.learner.exploration.correlation, config.learner.exploration.log_std_start);
         let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
         // The second rollout must contain nothing of the first.
-        trainer.collect(Seed::new(1)).expect("SUMO runs");
-        trainer.collect(Seed::new(2)).expect("SUMO runs");
+        trainer.collect(Seed::new(1), Stops::NEVER).expect("SUMO runs");
+        trainer.collect(Seed::new(2), Stops::NEVER).expect("SUMO runs");
         let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
         let (e, n) = (s.envs as i64, s.agents as i64);
         for t in 0..s.steps {
@@ -289,7 +294,7 @@ mod tests {
                 spec.observation.list.iter().position(|f| f.name == name).expect("a feature")
             };
             let features = [place("steering.last_steer"), place("ego.last_action")];
-            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            trainer.collect(Seed::new(1), Stops::NEVER).expect("SUMO runs");
             let (rollout, s) = (&trainer.rollout, trainer.rollout.sizes);
             let mut differing = 0;
             // The row after the last action is one of them, because it is valued as the others are.
@@ -343,7 +348,7 @@ mod tests {
             assert_eq!(config.cannot_be_trained(), None);
             (config.train.envs, config.train.rollout_steps) = (2, 8);
             let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
-            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            trainer.collect(Seed::new(1), Stops::NEVER).expect("SUMO runs");
             let (n, comm) = (trainer.rollout.sizes.agents, &trainer.rollout.comm);
             let own = |pair: usize| pair / n % n == pair % n;
             let sum = |of: bool| -> f32 {
@@ -372,7 +377,7 @@ mod tests {
             let (mut config, scenario) = Config::resolve(&layers).expect("valid settings");
             (config.train.envs, config.train.rollout_steps) = (2, 8);
             let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
-            trainer.collect(Seed::new(1)).expect("SUMO runs");
+            trainer.collect(Seed::new(1), Stops::NEVER).expect("SUMO runs");
             trainer.iterate().expect("an update");
             let numbers = trainer.rollout.disturbance;
             numbers.iter().filter(|number| which(**number)).count() as f64 / numbers.len() as f64
@@ -398,7 +403,7 @@ mod tests {
             Config::resolve(&Layers { flags, ..Layers::default() }).expect("valid settings");
         (config.train.envs, config.train.rollout_steps) = (2, 8);
         let mut trainer = crate::driving::trainer(config, &scenario).expect("a trainer");
-        trainer.collect(Seed::new(1)).expect("SUMO runs");
+        trainer.collect(Seed::new(1), Stops::NEVER).expect("SUMO runs");
         let rollout = &trainer.rollout;
         let row = |t: usize| &rollout.graph_noise[rollout.at(t, rollout.sizes.graph_noise)];
         assert!(row(0).iter().any(|&noise| noise != 0.0), "{:?}", row(0));

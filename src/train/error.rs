@@ -17,6 +17,9 @@ pub enum Error {
     /// The learner failed.
     #[error(transparent)]
     Algorithm(#[from] algo::Error),
+    /// The caller gave up an iteration.
+    #[error("the iteration was stopped")]
+    Stopped,
     /// A file of the run cannot be written.
     #[error(transparent)]
     Record(#[from] record::Error),

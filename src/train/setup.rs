@@ -1,7 +1,5 @@
 //! Sets up a run: learner, worlds and rollout, new or from a checkpoint.
 
-use std::sync::Arc;
-
 use tch::Tensor;
 
 use super::ahead::Ahead;
@@ -115,7 +113,7 @@ impl Trainer {
             config,
             environment,
             learner,
-            ranks: Arc::clone(&team.ranks),
+            team: team.clone(),
             progress,
             seed,
         };

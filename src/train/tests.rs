@@ -2,13 +2,14 @@
 //! time.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 
 use tch::{Kind, Tensor};
 use toml::Value;
 
-use super::{RunDir, Trainer, TrainingEnd};
+use super::{RunDir, Stops, Trainer, TrainingEnd};
+use crate::algo::Stop;
 use crate::checkpoint::Checkpoint;
 use crate::config::{Config, Layers};
 use crate::env::{
@@ -160,6 +161,106 @@ fn ranks_stop_together() {
     });
     let ends = ends.into_inner().expect("no thread panicked");
     assert!(ends.len() == 2 && ends[0] == ends[1] && ends[0] < 1000, "{ends:?}");
+}
+
+/// A run that is resumed and stopped at once ends in all ranks, although only the first one, which
+/// writes the run, has a best policy in its folder.
+#[test]
+fn ranks_end_together_where_only_the_first_has_a_best_policy() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let dir = &RunDir::new(folder.path());
+    for resumed in [false, true] {
+        std::thread::scope(|scope| {
+            for ranks in threads(2) {
+                scope.spawn(move || {
+                    let (first, team) = (ranks.rank() == 0, Team::new(ranks, Arc::default()));
+                    let last = resumed.then(|| Checkpoint::load(&dir.last()).expect("loaded"));
+                    let settings = config("mappo", &["steps=400"]);
+                    let trainer = Trainer::among(settings, environment(), last.as_ref(), &team);
+                    let mut trainer = trainer.expect("a trainer");
+                    let aside = tempfile::tempdir().expect("a folder");
+                    let aside = RunDir::new(aside.path());
+                    team.stop.store(resumed, Ordering::Relaxed);
+                    let dir = if first { dir } else { &aside };
+                    trainer.run(dir, &team.stop, &mut |_| {}).expect("it ends");
+                });
+            }
+        });
+        assert!(dir.best().exists());
+    }
+}
+
+/// An iteration that is given up anywhere leaves no trace: the run goes on from its checkpoint as
+/// if nobody had stopped it. This holds for one process and for two, in turn and overlapped, and
+/// with memories of policy and critic.
+#[test]
+fn iterations_that_are_given_up_leave_no_trace() {
+    const ITERATIONS: u64 = 3;
+    let gru = ["network.encoder=gru", "network.chunk_length=5"];
+    let short = ["train.rollout_steps=10"];
+    for (method, size, more) in [
+        ("ex-iwol", 1, &short[..]),
+        ("mappo", 1, &[&gru[..], &short].concat()),
+        ("mappo", 1, &OVERLAP),
+        ("ex-iwol", 2, &short),
+    ] {
+        // Stops in a rollout or in an update once it has been asked `at` times after the first
+        // iteration; returns what the run comes to, and whether it was stopped.
+        let run = |in_update: bool, at: usize| {
+            let ends = Mutex::new(Vec::new());
+            std::thread::scope(|scope| {
+                for ranks in threads(size) {
+                    let ends = &ends;
+                    scope.spawn(move || {
+                        let team = Team::new(ranks, Arc::default());
+                        let new = |last: Option<&Checkpoint>| {
+                            let trainer =
+                                Trainer::among(config(method, more), environment(), last, &team);
+                            trainer.expect("a trainer")
+                        };
+                        let mut trainer = new(None);
+                        trainer.iterate().expect("an iteration");
+                        let asked = AtomicUsize::new(0);
+                        let stop = || asked.fetch_add(1, Ordering::Relaxed) >= at;
+                        let (stop, never): (Stop<'_>, Stop<'_>) = (&stop, &|| false);
+                        let (rollout, update) =
+                            if in_update { (never, stop) } else { (stop, never) };
+                        let mut stopped = false;
+                        while trainer.progress().iteration < ITERATIONS {
+                            let begin = trainer.ahead.is_none().then(|| trainer.collector.mark());
+                            match trainer.iterate_until(Stops { rollout, update }) {
+                                Ok(_) => {}
+                                Err(super::Error::Stopped) => {
+                                    let begin = begin.map(|begin| trainer.checkpoint_at(begin));
+                                    let last = begin.unwrap_or_else(|| trainer.checkpoint());
+                                    trainer = new(Some(&last));
+                                    stopped = true;
+                                    break;
+                                }
+                                Err(error) => panic!("{error}"),
+                            }
+                        }
+                        while trainer.progress().iteration < ITERATIONS {
+                            trainer.iterate().expect("an iteration");
+                        }
+                        let end = (content(&trainer.checkpoint()), stopped);
+                        ends.lock().expect("no thread panicked").push(end);
+                    });
+                }
+            });
+            ends.into_inner().expect("no thread panicked")
+        };
+        let whole = &run(true, usize::MAX)[0];
+        assert!(!whole.1);
+        for in_update in [false, true] {
+            for at in [0, 1, 3, 7] {
+                for (end, stopped) in run(in_update, at) {
+                    assert!(stopped, "{method}, {size}: {in_update} {at} is too late");
+                    assert!(end == whole.0, "{method}, {size}: stopped at {in_update} {at}");
+                }
+            }
+        }
+    }
 }
 
 /// A run with fewer worlds or shards than ranks is refused, with the setting.

@@ -54,7 +54,7 @@ use super::ppo::{MAX_GRAD_NORM, masked_mean};
 use super::settings::Settings;
 use super::{
     Algorithm, Build, Capabilities, Channel, ChannelNoise, CommunicationScope, Error, Losses,
-    Method, UpdateParameters,
+    Method, Stop, UpdateParameters,
 };
 use crate::env::EnvSpec;
 use crate::nn::ValueNorm;
@@ -308,12 +308,14 @@ impl Algorithm for Maddpg {
         all.iter().map(|one| one.to(Device::Cpu)).collect()
     }
 
-    fn update(
+    fn update_until(
         &mut self,
         rollout: &Rollout,
         parameters: &UpdateParameters,
         seed: Seed,
+        _stop: Stop<'_>,
     ) -> Result<Losses, Error> {
+        // To give an update up, the replay buffer would have to be copied.
         self.replay.add(rollout);
         let rows = (self.settings.ppo.minibatch / rollout.sizes.agents).max(1);
         let (returns, gamma) = (self.settings.maddpg.n_step, self.settings.ppo.gamma);
