@@ -84,8 +84,16 @@ impl Estimate {
     /// The result is `None` without values. A single value gives a valid but very wide interval.
     /// Values must be in `0..=1`; a mean outside that range (rounding) is moved to the nearer end.
     pub fn rate(values: &[f64]) -> Option<Self> {
-        let mean = mean(values)?.clamp(0.0, 1.0);
-        let n = values.len() as f64;
+        Self::rate_of(mean(values)?, values.len() as u64)
+    }
+
+    /// Returns Wilson's score interval of a rate whose mean over `count` independent units is
+    /// `mean`, as [`Estimate::rate`] does; `None` if `count` is 0.
+    pub fn rate_of(mean: f64, count: u64) -> Option<Self> {
+        if count == 0 {
+            return None;
+        }
+        let (mean, n) = (mean.clamp(0.0, 1.0), count as f64);
         let z2 = Z_975 * Z_975;
         let centre = (mean + z2 / (2.0 * n)) / (1.0 + z2 / n);
         let half = Z_975 / (1.0 + z2 / n) * (mean * (1.0 - mean) / n + z2 / (4.0 * n * n)).sqrt();

@@ -40,6 +40,7 @@ use collect::{Collector, Exploring};
 pub use error::Error;
 use files::Files;
 pub use run_dir::RunDir;
+pub(crate) use schedule::STOP_VALIDATIONS;
 
 /// How training ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

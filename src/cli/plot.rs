@@ -8,17 +8,18 @@ use anyhow::{Context as _, bail, ensure};
 
 use crate::config;
 use crate::curves::{self, Along, Curve, Line, curve, mean_curve};
-use crate::metrics::{self, EvaluationResult, SUCCESS, Shown};
+use crate::metrics::{self, EvaluationResult, Metric, SUCCESS, Shown};
 use crate::plot::{Format, Panel, Series, figure};
 use crate::record;
-use crate::train::RunDir;
+use crate::train::{RunDir, STOP_VALIDATIONS};
 use crate::words::counted;
 
 use super::Verdict;
 
 /// Draws success, safety and throughput in validation during training: of one run, together with
 /// success in its training episodes, or of several runs. Runs that differ only in their seed become
-/// one curve: their mean with a 95 % interval.
+/// one curve: their mean with a 95 % interval. A run that stopped early keeps its last value in the
+/// mean; the curve ends where the first run ends that is not finished.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     /// Run folders
@@ -48,7 +49,14 @@ struct Group {
     label: String,
     settings: toml::Table,
     folder: PathBuf,
-    runs: Vec<Vec<Line>>,
+    runs: Vec<Run>,
+}
+
+/// What a run recorded.
+struct Run {
+    lines: Vec<Line>,
+    /// Whether nothing is left to train.
+    is_over: bool,
 }
 
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
@@ -67,29 +75,22 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         metrics::shown(Shown::Everywhere).filter(|metric| !alone || metric.id != "safety");
     let mut panels = Vec::new();
     for metric in metrics {
-        let series = groups.iter().map(|group| {
-            let name = match group.runs.len() {
-                1 => group.label.clone(),
-                seeds => format!("{} ({seeds} seeds)", group.label),
-            };
-            let runs = group.runs.iter().map(|run| curve(run, along, metric, Line::validation));
-            let curves: Vec<Curve> = runs.filter(|curve| !curve.is_empty()).collect();
-            mean_curve(name, &curves, along, metric)
-        });
-        let mut series: Vec<Series> = series.collect();
+        let mut series: Vec<Series> =
+            groups.iter().map(|group| group.series(along, metric)).collect();
         if alone && metric.id == SUCCESS.id {
-            let exploring = curve(&groups[0].runs[0], along, metric, Line::exploration);
+            let exploring = curve(&groups[0].runs[0].lines, along, metric, Line::exploration);
             // Runs that `iwol report --keep` copied contain only validations.
             if !exploring.is_empty() {
                 let label = format!("{}, exploring", groups[0].label);
                 series.push(Series::curve(label, exploring, None));
             }
         }
-        let reference = |(path, result): &(&Path, EvaluationResult)| {
-            let estimate = metric.estimate(&result.metrics);
-            let estimate =
-                estimate.with_context(|| format!("`{}` has no {}", path.display(), metric.id))?;
-            Ok((result.policy.clone(), estimate.mean))
+        // Tasks without vehicles have neither safety nor throughput.
+        if metric.id != SUCCESS.id && series.iter().all(|series| series.points.is_empty()) {
+            continue;
+        }
+        let reference = |(_, result): &(&Path, EvaluationResult)| {
+            Some((result.policy.clone(), metric.estimate(&result.metrics)?.mean))
         };
         panels.push(Panel {
             title: metric.title.to_owned(),
@@ -97,7 +98,7 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             y_label: metric.axis.to_owned(),
             y_range: metric.range(),
             series,
-            references: references.iter().map(reference).collect::<anyhow::Result<_>>()?,
+            references: references.iter().filter_map(reference).collect(),
             ..Panel::default()
         });
     }
@@ -109,6 +110,30 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     figure(&out, &title, &panels, (700, 640))?;
     tell!("{}", out.display());
     Ok(Verdict::Good)
+}
+
+impl Group {
+    /// Returns the curve of a metric in validations: of one run, or the mean of several.
+    fn series(&self, along: Along, metric: &Metric) -> Series {
+        let mut end = f64::INFINITY;
+        let mut curves: Vec<Curve> = Vec::new();
+        for run in &self.runs {
+            let curve = curve(&run.lines, along, metric, Line::validation);
+            let Some(last) = curve.last() else { continue };
+            if !run.is_over {
+                end = end.min(last.0);
+            }
+            curves.push(curve);
+        }
+        let name = match curves.len() {
+            0 | 1 => self.label.clone(),
+            seeds => format!("{} ({seeds} seeds)", self.label),
+        };
+        if curves.len() > 1 {
+            curves.iter_mut().for_each(|curve| curve.retain(|point| point.0 <= end));
+        }
+        mean_curve(name, &curves, along, metric)
+    }
 }
 
 /// Reads runs and sorts them into groups with labels that differ.
@@ -128,9 +153,10 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
         }
         known.push((settings.clone(), seed, run));
         let lines = read(run, along)?;
+        let read = Run { is_over: is_over(&settings, &lines), lines };
         match groups.iter_mut().find(|group| group.settings == settings) {
-            Some(group) => group.runs.push(lines),
-            None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![lines] }),
+            Some(group) => group.runs.push(read),
+            None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![read] }),
         }
     }
     let labels: Vec<String> = groups.iter().map(|group| group.label.clone()).collect();
@@ -141,6 +167,21 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
         }
     }
     Ok(groups)
+}
+
+/// Returns whether a run has taken all its steps or has solved its task, by its settings.
+fn is_over(settings: &toml::Table, lines: &[Line]) -> bool {
+    let steps = settings.get("steps").and_then(toml::Value::as_integer);
+    let done = lines.last().map(|line| line.step);
+    let enough = settings.get("train").and_then(|train| train.get("stop_success")?.as_float());
+    let validations = curve(lines, Along::Steps, SUCCESS, Line::validation);
+    let last = &validations[validations.len().saturating_sub(STOP_VALIDATIONS)..];
+    let solved = |enough: f64| {
+        let good = |point: &(f64, f64)| point.1 >= SUCCESS.scale.factor * enough;
+        enough > 0.0 && last.len() == STOP_VALIDATIONS && last.iter().all(good)
+    };
+    steps.zip(done).is_some_and(|(steps, done)| done >= steps.cast_unsigned())
+        || enough.is_some_and(solved)
 }
 
 fn read(run: &Path, along: Along) -> anyhow::Result<Vec<Line>> {
@@ -290,5 +331,41 @@ mod tests {
             "algorithm = \"mappo\"\nseed = 1\n[train]\nenvs = 4\n[magic]\nlambda_world = 0.5",
         );
         assert_eq!(without, with);
+    }
+
+    /// A run counts as finished if it has taken its steps or its last four validations are good
+    /// enough to stop. The mean over seeds ends where the first unfinished run ends.
+    #[test]
+    fn the_mean_of_runs_ends_with_the_first_that_is_not_finished() {
+        let settings: toml::Table =
+            toml::from_str("steps = 100\n[train]\nstop_success = 0.9").expect("settings");
+        let lines = |points: &[(u64, f64)]| -> Vec<Line> {
+            let line = |(step, success): &(u64, f64)| {
+                serde_json::from_value(
+                    serde_json::json!({ "step": step, "validation/success": success }),
+                )
+            };
+            points.iter().map(|point| line(point).expect("a line")).collect()
+        };
+        let whole = lines(&[(20, 0.2), (60, 0.5), (100, 0.8)]);
+        let solved = lines(&[(20, 0.9), (30, 1.0), (40, 1.0), (50, 0.95)]);
+        let broken = lines(&[(20, 0.9), (60, 0.4)]);
+        let of = |all: [&Vec<Line>; 2]| {
+            let run = |lines: &Vec<Line>| Run {
+                is_over: is_over(&settings, lines),
+                lines: lines.clone(),
+            };
+            let group = Group {
+                label: "mappo".to_owned(),
+                settings: settings.clone(),
+                folder: PathBuf::new(),
+                runs: all.map(run).into(),
+            };
+            let series = group.series(Along::Steps, SUCCESS);
+            series.points.last().copied().expect("points")
+        };
+        assert_eq!(of([&whole, &solved]).0, 100.0);
+        let end = of([&whole, &broken]);
+        assert!(end.0 == 60.0 && (end.1 - 45.0).abs() < 1e-9, "{end:?}");
     }
 }

@@ -6,8 +6,8 @@ use toml::Value;
 
 use super::{Error, in_words};
 use crate::metrics::{self, EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
-use crate::stats::Estimate;
 use crate::stats::aggregate::bootstrap;
+use crate::stats::{self, Estimate};
 use crate::sweep::{Cell, Evaluate, Reference, Sweep, plain};
 
 /// One evaluation of all cells.
@@ -50,9 +50,10 @@ pub(super) enum Unit {
     /// The episodes of a single run: the interval says how that policy performs, not what another
     /// seed would give.
     Episodes,
-    /// The episodes of all runs together, for rates: Wilson's interval, which is not a point even
-    /// if all runs have the same value. The interval says how these policies perform, not what
-    /// another seed would give.
+    /// The episodes that all runs play, for rates: Wilson's interval of the mean over the runs,
+    /// which is not a point even if all runs have the same value. All runs of a sweep are evaluated
+    /// in the same episodes, so that their number is that of one run. The interval says how these
+    /// policies perform, not what another seed would give.
     Together,
 }
 
@@ -62,7 +63,7 @@ impl Unit {
         match self {
             Self::Seeds => "± t-interval over seeds",
             Self::Episodes => "[interval] over the episodes of a single run",
-            Self::Together => "[Wilson interval] over all episodes together",
+            Self::Together => "[Wilson interval] over the episodes, which all runs play",
         }
     }
 }
@@ -129,16 +130,12 @@ impl Row<'_> {
                 metric.estimate(&only.metrics).filter(|e| !e.mean.is_nan())
             }
             Unit::Together => {
-                let of = |found: &EvaluationResult| {
-                    let counted = found.metrics.counted.unwrap_or(found.episodes);
-                    Some((counted, metric.estimate(&found.metrics)?.mean))
-                };
-                let runs: Vec<(u64, f64)> = self.finished().filter_map(of).collect();
-                let episodes: u64 = runs.iter().map(|run| run.0).sum();
-                let mean =
-                    runs.iter().map(|run| run.0 as f64 * run.1).sum::<f64>() / episodes as f64;
-                let pooled = Estimate::rate(&vec![mean / 100.0; episodes as usize])?;
-                Some(Estimate { mean, low: 100.0 * pooled.low, high: 100.0 * pooled.high })
+                let counted =
+                    |found: &EvaluationResult| found.metrics.counted.unwrap_or(found.episodes);
+                let episodes = self.finished().map(counted).max()?;
+                let mean = stats::mean(&values)?;
+                let rate = Estimate::rate_of(mean / 100.0, episodes)?;
+                Some(Estimate { mean, low: 100.0 * rate.low, high: 100.0 * rate.high })
             }
         }
     }
@@ -149,14 +146,10 @@ impl Row<'_> {
         values.len() > 1 && values.iter().all(|value| *value == values[0])
     }
 
-    /// Returns the distance per crash over all finished runs; `None` if the results do not contain
-    /// it.
-    pub(super) fn km_per_crash(&self) -> Option<KmPerCrash> {
-        let runs = self.finished().filter_map(|found| found.metrics.driving.as_ref()?.km_per_crash);
-        let (km, crashes) = runs
-            .map(|run| (run.km, run.crashes))
-            .reduce(|sum, run| (sum.0 + run.0, sum.1 + run.1))?;
-        KmPerCrash::new(km, crashes)
+    /// Returns the distance per crash of each finished run whose result contains it.
+    pub(super) fn km_per_crash(&self) -> Vec<KmPerCrash> {
+        let driving = |found: &EvaluationResult| found.metrics.driving.as_ref()?.km_per_crash;
+        self.finished().filter_map(driving).collect()
     }
 
     /// Returns, of each finished run, a number about what the latent explains of `target`.
@@ -242,17 +235,6 @@ pub(super) fn block<'a>(sweep: &'a Sweep, evaluate: &'a Evaluate) -> Result<Bloc
             series[line].1.entry(category).or_default().runs.push((cell, found));
         }
     }
-    let labels = || series.iter().map(|(line, _)| line.label.as_str());
-    let unknown = |reference: &&Reference| {
-        !reference.beside.is_empty() && !labels().any(|label| label == reference.beside)
-    };
-    if let Some(reference) = references_of(sweep, evaluate).find(unknown) {
-        return Err(Error::Beside {
-            reference: reference.label.clone(),
-            beside: reference.beside.clone(),
-            series: labels().map(str::to_owned).collect(),
-        });
-    }
     let used = |k: &usize| series.iter().any(|(_, rows)| rows.contains_key(k));
     let used: Vec<usize> = (0..categories.len()).filter(used).collect();
     let categories = used.iter().map(|&k| categories[k].clone()).collect();
@@ -268,6 +250,22 @@ fn position(known: &mut Vec<String>, value: String) -> usize {
         known.push(value);
         known.len() - 1
     })
+}
+
+/// Checks that published values which stand beside a line name one of the evaluation.
+pub(super) fn check_references(sweep: &Sweep, block: &Block<'_>) -> Result<(), Error> {
+    let labels = || block.series.iter().map(|line| line.label.as_str());
+    let unknown = |reference: &&Reference| {
+        !reference.beside.is_empty() && !labels().any(|label| label == reference.beside)
+    };
+    match references_of(sweep, block.evaluate).find(unknown) {
+        None => Ok(()),
+        Some(reference) => Err(Error::Beside {
+            reference: reference.label.clone(),
+            beside: reference.beside.clone(),
+            series: labels().map(str::to_owned).collect(),
+        }),
+    }
 }
 
 /// Returns the published values that belong to an evaluation.

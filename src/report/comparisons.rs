@@ -23,9 +23,10 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
     let corrected = holm(&found);
     document.heading(2, "Comparisons");
     document.text(
-        "Differences of interquartile means over seeds, as the sweep file names them, with 95 % intervals and two-sided p-values \
-         of a stratified bootstrap with seeds as the unit, and p-values corrected for all rows together (Holm). With fewer than \
-         five seeds in a group the intervals are too narrow, and there is no p-value.",
+        "Differences of interquartile means over seeds, as the sweep file names them, with the 95 % intervals of a stratified \
+         bootstrap with seeds as the unit, which are too narrow with fewer than five seeds in a group. Two-sided p-values are those \
+         of a permutation test, or of the bootstrap where two differences are compared; the last column is corrected for all rows \
+         together (Holm).",
     );
     let table = rows.iter().zip(corrected).map(|(row, corrected)| {
         let mut cells = vec![row.contrast.title.clone(), row.heading(), row.runs()];

@@ -53,6 +53,7 @@ pub fn write(
         .iter()
         .map(|evaluate| block::block(sweep, evaluate))
         .collect::<Result<_, _>>()?;
+    blocks.iter().try_for_each(|block| block::check_references(sweep, block))?;
     let found = |block: &Block<'_>| {
         block.series.iter().flat_map(|s| &s.rows).flat_map(|r| &r.runs).any(|r| r.1.is_some())
     };

@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use super::block::{Block, Line, Row, Unit, aggregate, references, resamples, scores};
 use super::document::Document;
 use super::in_words;
-use crate::metrics::{EvaluationResult, Knowledge, Metric, SUCCESS, Shown};
+use crate::metrics::{EvaluationResult, KmPerCrash, Knowledge, Metric, SUCCESS, Shown};
 use crate::stats::aggregate::{
     bootstrap, interquartile_mean, median, optimality_gap, probability_of_improvement, task_mean,
 };
@@ -71,7 +71,7 @@ pub(super) fn results(document: &mut Document, sweep: &Sweep, block: &Block<'_>)
         if rates.iter().any(ties) {
             document.text(
                 "Where all seeds have the same result, the interval over seeds is a point. The following table has intervals \
-                 over the episodes of all seeds together. They apply to these policies and say nothing about other seeds:",
+                 over episodes. They apply to these policies and say nothing about other seeds:",
             );
             table(document, sweep, block, (&several, &rates, Unit::Together), false);
         }
@@ -131,16 +131,18 @@ fn axis(block: &Block<'_>) -> Option<String> {
 fn cell(row: &Row<'_>, metric: &Metric, unit: Unit) -> String {
     let Some(e) = row.estimate(metric, unit) else { return "–".to_owned() };
     let values = row.values(metric);
-    let partial = if values.len() < row.runs.len() {
-        format!(" ({} of {})", values.len(), row.runs.len())
-    } else {
-        String::new()
-    };
+    let partial = partial(row, values.len());
     let digits = metric.scale.digits;
     match unit {
         Unit::Seeds => format!("{}{partial}", over_seeds(&values, digits)),
         Unit::Episodes | Unit::Together => format!("{e:.digits$}{partial}"),
     }
+}
+
+/// Returns how many of a row's runs have a value, unless all have one.
+fn partial(row: &Row<'_>, values: usize) -> String {
+    let runs = row.runs.len();
+    if values < runs { format!(" ({values} of {runs})") } else { String::new() }
 }
 
 /// Formats mean ± half the width of the t-interval over seeds; for a single value only the mean,
@@ -153,16 +155,28 @@ fn over_seeds(values: &[f64], digits: usize) -> String {
     }
 }
 
-/// Adds the distance per crash, over all runs and episodes of a place together.
+/// Formats the distance per crash: of one run with the exact interval of its count; of several runs
+/// together, whose rates may differ, with the crashes of each and without an interval. Where no run
+/// has a crash, there is the lower bound of the interval of all kilometres.
+fn per_crash(row: &Row<'_>) -> String {
+    let runs = row.km_per_crash();
+    let km: f64 = runs.iter().map(|run| run.km).sum();
+    let crashes = runs.iter().fold(0_u64, |sum, run| sum.saturating_add(run.crashes));
+    let Some(together) = KmPerCrash::new(km, crashes) else { return "–".to_owned() };
+    let counts = runs.iter().map(|run| run.crashes.to_string()).collect::<Vec<_>>().join(", ");
+    let ratio = if runs.len() == 1 || crashes == 0 {
+        format!("{:.2}", together.estimate)
+    } else {
+        format!("{:.2}", together.estimate.mean)
+    };
+    format!("{ratio} ({counts} in {km:.1} km){}", partial(row, runs.len()))
+}
+
+/// Adds the distance per crash, over all episodes of a place together.
 pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
     let rows: Vec<Vec<String>> = (block.series.iter())
         .map(|line| {
-            let cells = line.rows.iter().map(|row| {
-                let per_crash = row.km_per_crash().map(|driven| {
-                    format!("{:.2} ({} in {:.1} km)", driven.estimate, driven.crashes, driven.km)
-                });
-                per_crash.unwrap_or_else(|| "–".to_owned())
-            });
+            let cells = line.rows.iter().map(per_crash);
             std::iter::once(line.label.clone()).chain(cells).collect()
         })
         .collect();
@@ -170,8 +184,12 @@ pub(super) fn kilometres(document: &mut Document, block: &Block<'_>) {
         return;
     }
     let at = axis(block).map_or_else(String::new, |axis| format!(" at {axis}"));
-    let title =
-        format!("km per crash{at} ([exact Poisson interval] of the crashes of all runs together)");
+    let unit = if block.unit() == Unit::Seeds {
+        "all runs together; in parentheses the crashes of each run"
+    } else {
+        "[exact Poisson interval]"
+    };
+    let title = format!("km per crash{at} ({unit})");
     let places =
         if at.is_empty() { vec!["km per crash".to_owned()] } else { block.categories.clone() };
     document.table(std::iter::once(title).chain(places).collect(), rows);
@@ -187,9 +205,11 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
         let mut rows: Vec<Vec<String>> = Vec::new();
         for line in &block.series {
             for (category, row) in block.categories.iter().zip(&line.rows) {
-                if row.known(target, |k| Some(k.explained)).is_empty() {
+                let finished = row.known(target, |k| Some(k.explained)).len();
+                if finished == 0 {
                     continue;
                 }
+                let partial = partial(row, finished);
                 let percent = |of: Number| {
                     let values: Vec<f64> =
                         row.known(target, of).iter().map(|share| 100.0 * share).collect();
@@ -202,7 +222,7 @@ pub(super) fn knowledge(document: &mut Document, block: &Block<'_>) {
                 let place =
                     if category.is_empty() { String::new() } else { format!(", {category}") };
                 rows.push(vec![
-                    format!("{}{place}", line.label),
+                    format!("{}{place}{partial}", line.label),
                     percent(|k| Some(k.explained)),
                     percent(|k| Some(k.probe.as_ref()?.explained)),
                     format!(

@@ -143,7 +143,7 @@ pub fn sample_efficiency(runs: &[Vec<(f64, f64)>], steps: &[f64]) -> Vec<(f64, E
 
 /// Returns a quantile of sorted values with linear interpolation (NumPy's default); NaN without
 /// values.
-fn percentile(sorted: &[f64], share: f64) -> f64 {
+pub fn percentile(sorted: &[f64], share: f64) -> f64 {
     let Some(last) = sorted.len().checked_sub(1) else { return f64::NAN };
     let place = share * last as f64;
     let (below, part) = (place.floor() as usize, place.fract());

@@ -1,22 +1,35 @@
-//! Comparisons of groups of trained runs: differences of interquartile means, with intervals and
-//! p-values of the stratified bootstrap (Agarwal et al. 2021), and Holm's correction for several
+//! Comparisons of groups of trained runs: differences of interquartile means, with the intervals of
+//! the stratified bootstrap (Agarwal et al. 2021), p-values, and Holm's correction for several
 //! comparisons.
+
+use rand::SeedableRng as _;
+use rand::seq::SliceRandom as _;
+use rand_chacha::ChaCha8Rng;
 
 use super::Estimate;
 use super::aggregate::{interquartile_mean, resample, summary};
 
-/// Number of runs in each group from which on the bootstrap's p-values are valid.
-pub const RUNS_FOR_P: usize = 5;
+/// Number of runs in each of four groups from which on the bootstrap gives a p-value. With ten runs
+/// each and no difference, 5.3 % of the p-values are below 0.05, 1.1 % below 0.01 and 0.17 % below
+/// 0.001; with five runs, 0.9 % are below 0.001.
+pub const RUNS_FOR_P: usize = 10;
+
+/// Number of ways to divide the runs of two groups up to which all of them are tried.
+const MOST_DIVISIONS: f64 = 200_000.0;
+
+/// Number of random divisions where there are more.
+const DIVISIONS: usize = 20_000;
 
 /// A comparison of groups of runs.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Contrast {
     /// The weighted sum of the groups' interquartile means, with its 95 % interval.
     pub difference: Estimate,
-    /// Two-sided p-value: twice the smaller share of resamples on either side of 0, 0 included.
-    /// The least value depends on the number of resamples. `None` if a group has fewer than
-    /// [`RUNS_FOR_P`] runs: with three runs in each of two groups that do not differ, a fifth of
-    /// the p-values would be below 0.05.
+    /// Two-sided p-value. Of two groups, that of a permutation test: the share of all divisions of
+    /// the runs into two groups of these sizes whose difference is at least as large. It is valid for
+    /// any number of runs; with five runs each, the least value is 2/252. Of four groups, that of the
+    /// bootstrap: twice the smaller share of resamples on either side of 0; `None` if a group has
+    /// fewer than [`RUNS_FOR_P`] runs.
     pub p: Option<f64>,
 }
 
@@ -37,9 +50,62 @@ pub fn contrast(groups: &[(f64, Vec<f64>)]) -> Option<Contrast> {
         let count = values.iter().filter(|value| beyond(**value)).count();
         (count + 1) as f64 / (values.len() + 1) as f64
     };
-    let p = 2.0 * share(&|value| value <= 0.0).min(share(&|value| value >= 0.0));
-    let p = runs.iter().all(|runs| runs.len() >= RUNS_FOR_P).then_some(p.min(1.0));
-    Some(Contrast { difference: summary(difference(&runs), values), p })
+    let p = match &runs[..] {
+        [one, other] => Some(permuted(one, other)),
+        all if all.iter().all(|runs| runs.len() >= RUNS_FOR_P) => {
+            Some(2.0 * share(&|value| value <= 0.0).min(share(&|value| value >= 0.0)))
+        }
+        _ => None,
+    };
+    Some(Contrast { difference: summary(difference(&runs), values), p: p.map(|p| p.min(1.0)) })
+}
+
+/// Returns the two-sided p-value of the permutation test of the difference of interquartile means.
+fn permuted(one: &[f64], other: &[f64]) -> f64 {
+    let mean = |runs: &[f64]| interquartile_mean(&[runs.to_vec()]);
+    let all = [one, other].concat();
+    let count = one.len();
+    let distance = |chosen: &[bool]| {
+        let group = |of: bool| {
+            let runs = all.iter().zip(chosen).filter(|(_, chosen)| **chosen == of);
+            runs.map(|(run, _)| *run).collect::<Vec<f64>>()
+        };
+        (mean(&group(true)) - mean(&group(false))).abs()
+    };
+    let mut chosen: Vec<bool> = (0..all.len()).map(|k| k < count).collect();
+    // Rounding must not make equal distances differ.
+    let least = distance(&chosen) * (1.0 - 1e-9);
+    let ways = (0..count).map(|k| (all.len() - k) as f64 / (k + 1) as f64).product::<f64>();
+    if ways > MOST_DIVISIONS {
+        let mut rng = ChaCha8Rng::seed_from_u64(0);
+        let mut far = || {
+            chosen.shuffle(&mut rng);
+            distance(&chosen) >= least
+        };
+        let beyond = (0..DIVISIONS).filter(|_| far()).count();
+        return (beyond + 1) as f64 / (DIVISIONS + 1) as f64;
+    }
+    let (mut beyond, mut tried) = (0_u64, 0_u64);
+    loop {
+        tried += 1;
+        beyond += u64::from(distance(&chosen) >= least);
+        if !next_division(&mut chosen) {
+            return beyond as f64 / tried as f64;
+        }
+    }
+}
+
+/// Changes a division into the next one in descending lexical order; returns whether there is one.
+fn next_division(chosen: &mut [bool]) -> bool {
+    let Some(last) = (1..chosen.len()).rev().find(|&k| chosen[k - 1] && !chosen[k]) else {
+        return false;
+    };
+    let later = chosen[last..].iter().filter(|chosen| **chosen).count();
+    chosen[last - 1] = false;
+    for (k, chosen) in chosen[last..].iter_mut().enumerate() {
+        *chosen = k <= later;
+    }
+    true
 }
 
 /// Returns p-values corrected for as many comparisons (Holm 1979): the chance that any of the true
@@ -95,9 +161,44 @@ mod tests {
             "{both:?}"
         );
         assert_eq!(contrast(&[(1.0, runs(1.0)), (-1.0, vec![1.0])]), None);
-        // Of the ten ways to divide these five runs, one is as extreme: no test has p < 0.1.
+        let few = groups.each_ref().map(|(weight, runs)| (*weight, runs[..9].to_vec()));
+        assert_eq!(contrast(&few).expect("runs").p, None);
+    }
+
+    #[test]
+    fn p_values_of_two_groups_are_those_of_the_permutation_test() {
+        // Of the ten ways to divide these five runs, this one has the largest difference.
         let few = contrast(&[(1.0, vec![1.0, 2.0, 3.0]), (-1.0, vec![11.0, 12.0])]).expect("runs");
-        assert!(few.p.is_none() && few.difference.mean < -9.0, "{few:?}");
+        assert!(few.difference.mean < -9.0 && few.p == Some(0.1), "{few:?}");
+        // scipy.stats.permutation_test of the difference of trim_mean(x, 0.25), all divisions.
+        let one = vec![96.0, 96.1, 96.2, 96.3, 96.4];
+        let other = vec![96.65, 96.7, 96.8, 96.9, 97.0];
+        let five = contrast(&[(1.0, one), (-1.0, other)]).expect("runs");
+        assert_eq!(five.p, Some(4.0 / 252.0));
+        let same = contrast(&[(1.0, vec![5.0; 4]), (-1.0, vec![5.0; 4])]).expect("runs");
+        assert_eq!(same.p, Some(1.0));
+        // Of many runs, some divisions are drawn.
+        let far = |mean: f64| (0..15).map(|k| mean + f64::from(k % 5)).collect::<Vec<_>>();
+        let many = contrast(&[(1.0, far(0.0)), (-1.0, far(9.0))]).expect("runs");
+        assert!(many.p.is_some_and(|p| p < 1e-3), "{many:?}");
+    }
+
+    #[test]
+    fn every_division_comes_once() {
+        for (all, count) in [(1, 1), (4, 2), (5, 3), (6, 1)] {
+            let mut chosen: Vec<bool> = (0..all).map(|k| k < count).collect();
+            let mut known = std::collections::BTreeSet::from([chosen.clone()]);
+            while next_division(&mut chosen) {
+                assert_eq!(chosen.iter().filter(|chosen| **chosen).count(), count);
+                assert!(known.insert(chosen.clone()), "{chosen:?} twice");
+            }
+            let ways: usize = [(1, 1), (4, 6), (5, 10), (6, 6)]
+                .into_iter()
+                .find(|(of, _)| *of == all)
+                .map(|(_, ways)| ways)
+                .expect("listed");
+            assert_eq!(known.len(), ways, "{count} of {all}");
+        }
     }
 
     proptest! {

@@ -163,8 +163,9 @@ impl Cell {
         })
     }
 
-    /// Returns the result of exactly this evaluation: with the same episodes, checkpoint, settings
-    /// and scenario, of a run that is trained to its end. `None` if there is none.
+    /// Returns the result of exactly this evaluation: of the same method, with the same episodes,
+    /// checkpoint, settings and scenario, of a run that is trained to its end. `None` if there is
+    /// none.
     ///
     /// # Errors
     /// [`Error::Damaged`] if the file is not a result, [`Error::Record`] if it cannot be read.
@@ -183,10 +184,17 @@ impl Cell {
             Err(source) if source.kind() == std::io::ErrorKind::NotFound => return Ok(None),
             Err(source) => return Err(record::Error::io("read", &path)(source).into()),
         };
-        let found: EvaluationResult =
-            serde_json::from_slice(&bytes).map_err(|source| Error::Damaged { path, source })?;
+        let found: EvaluationResult = serde_json::from_slice(&bytes)
+            .and_then(|found: EvaluationResult| match found.metrics.counted {
+                Some(counted) if counted > found.episodes => Err(serde::de::Error::custom(
+                    format!("{counted} of {} episodes count", found.episodes),
+                )),
+                _ => Ok(found),
+            })
+            .map_err(|source| Error::Damaged { path, source })?;
         let known = found.fingerprint.as_ref().zip(self.evaluated.get(&found.set));
-        let same = found.episodes == evaluate.episodes
+        let same = (found.episodes, found.seed) == (evaluate.episodes, 0)
+            && found.policy == self.config.algorithm
             && found.checkpoint.as_deref() == Some(evaluate.checkpoint.file())
             && found.set == evaluate.sets(combination)
             && known.is_none_or(|(was, is)| was == is);

@@ -8,7 +8,7 @@ use toml::{Table, Value};
 
 use super::cell::check_order;
 use super::conditions::{self, holds, listed};
-use super::distinct::check_distinct;
+use super::distinct::{check_distinct, check_seeds};
 use super::{Cell, Contrast, Error, Evaluate, Reference, base, combinations, label, value_of};
 use crate::config::{
     self, Config, Document, Layers, Resolution, TaskSource, flatten, full_name,
@@ -294,7 +294,9 @@ impl File {
         if let Some((_, twice)) = cells.iter().enumerate().find(alike) {
             return Err(wrong(file, format!("[grid]: two cells are called {}", twice.id)));
         }
-        check_distinct(&cells).map_err(|message| wrong(file, message))?;
+        check_distinct(&cells)
+            .and_then(|()| check_seeds(&cells))
+            .map_err(|message| wrong(file, message))?;
         Ok(cells)
     }
 

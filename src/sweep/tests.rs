@@ -241,6 +241,7 @@ fn write_results(sweep: &Sweep, cell: &Cell, fingerprint: Option<&str>) {
             let result = serde_json::json!({
                 "episodes": evaluate.episodes, "checkpoint": evaluate.checkpoint.file(),
                 "set": evaluate.sets(&combination), "fingerprint": fingerprint, "metrics": {},
+                "policy": cell.config.algorithm,
             });
             std::fs::write(cell.result(evaluate, &combination), result.to_string()).unwrap();
         }
@@ -276,6 +277,29 @@ fn runs_that_are_not_finished_have_no_results() {
     assert!(found().is_some());
     std::fs::write(cell.run().metrics(), "{\"step\": 9999999}\n").unwrap();
     assert!(found().is_none());
+}
+
+/// A result of another method, or of other episodes, is not this cell's, wherever it comes from.
+#[test]
+fn results_of_others_do_not_count() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = Sweep::parse(FILE, "s.toml", "s", folder.path()).unwrap();
+    let (cell, evaluate) = (&sweep.cells[0], &sweep.evaluations[0]);
+    let combination = &evaluate.combinations()[0];
+    write_results(&sweep, cell, None);
+    let file = cell.result(evaluate, combination);
+    let own: serde_json::Value = serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    for (key, other) in [("policy", serde_json::json!("mat")), ("seed", 5.into())] {
+        let mut changed = own.clone();
+        changed[key] = other;
+        std::fs::write(&file, changed.to_string()).unwrap();
+        assert!(cell.evaluation(evaluate, combination).unwrap().is_none(), "{key}");
+    }
+    let mut damaged = own;
+    damaged["metrics"]["counted"] = u64::MAX.into();
+    std::fs::write(&file, damaged.to_string()).unwrap();
+    let error = cell.evaluation(evaluate, combination).expect_err("damaged");
+    assert!(matches!(error, Error::Damaged { .. }), "{error}");
 }
 
 /// What is kept of a trained cell is what there is now, not what an earlier copy had besides. An

@@ -13,7 +13,7 @@ use crate::checkpoint::Progress;
 use crate::config::Config;
 
 /// Number of validations that decide whether to stop (`train.stop_success`).
-const STOP_VALIDATIONS: usize = 4;
+pub(crate) const STOP_VALIDATIONS: usize = 4;
 
 /// Returns the parameters of the next update: learning rate, noise and weight of the entropy bonus.
 pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateParameters {

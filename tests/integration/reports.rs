@@ -46,6 +46,7 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
         let crashes = ((1.0 - rate) * 1000.0).round() as u64;
         let found = json!({
             "episodes": 100, "checkpoint": "last.safetensors", "seed": 0, "run": run(cell),
+            "policy": cell.config.algorithm,
             "program": { "version": "0.4.0", "commit": "unknown", "sumo": "1.20.0" },
             "metrics": {
                 "success": estimate(rate, rate - 0.03, (rate + 0.01).min(1.0)),
@@ -64,7 +65,12 @@ fn results(sweep: &Sweep, success: impl Fn(&Cell) -> f64, run: impl Fn(&Cell) ->
             },
         });
         let evaluate = &sweep.evaluations[0];
-        std::fs::write(cell.result(evaluate, &[]), found.to_string()).expect("written");
+        for combination in evaluate.combinations() {
+            let mut found = found.clone();
+            found["set"] = json!(evaluate.sets(&combination));
+            let file = cell.result(evaluate, &combination);
+            std::fs::write(file, found.to_string()).expect("written");
+        }
     }
 }
 
@@ -129,7 +135,8 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
             cells.iter().any(|cell| cell.contains('[')),
         );
         assert!(!(over_seeds && brackets), "two units of interval in one table: {table:?}");
-        let named = ["over seeds", "all episodes together", "episodes of a single run"];
+        let named =
+            ["over seeds", "over the episodes, which all runs play", "episodes of a single run"];
         assert_eq!(
             named.iter().filter(|unit| table[0][0].contains(*unit)).count(),
             1,
@@ -150,11 +157,12 @@ fn every_table_has_one_unit_of_interval_and_names_it() {
     assert_eq!(row(seeds, "mappo").expect("a row")[1..], ["100.0 ± 0.0", "92.0 ± 5.0"]);
     assert_eq!(row(seeds, "im-iwol").expect("a row")[1], "92.0 ± 5.0");
     assert_eq!(row(seeds, "magic"), None, "one seed says nothing about others");
-    // Wilson's lower bound for 300 episodes that all succeed is 300 / (300 + 1.96²).
-    let pooled = row(titled("all episodes together"), "mappo").expect("a row");
+    // Wilson's lower bound for 100 episodes that all succeed is 100 / (100 + 1.96²). The three runs
+    // are evaluated in the same 100 episodes.
+    let pooled = row(titled("which all runs play"), "mappo").expect("a row");
     assert_eq!(
         pooled[1],
-        format!("100.0 [{:.1}, 100.0]", 100.0 * 300.0 / (300.0 + 1.959_964_f64.powi(2)))
+        format!("100.0 [{:.1}, 100.0]", 100.0 * 100.0 / (100.0 + 1.959_964_f64.powi(2)))
     );
     let alone = titled("episodes of a single run");
     assert_eq!(alone.len(), 2, "MAGIC alone: {alone:?}");
@@ -216,10 +224,11 @@ fn kilometres_and_knowledge_have_tables() {
     results(&sweep, success, |_| Value::Null);
     let (markdown, _) = report(&sweep, folder.path());
     for part in [
-        // The seeds have 100, 80 and 60 crashes in 40 km each; without a crash there is only a
-        // lower bound.
-        "| im-iwol | 0.50 [0.44, 0.57] (240 in 120.0 km) | 0.50 [0.44, 0.57] (240 in 120.0 km) |",
-        "| mappo | > 32.53 (0 in 120.0 km) | > 32.53 (0 in 120.0 km) |",
+        // Several runs may have different rates, so that there is no interval; without a crash
+        // there is only a lower bound.
+        "| im-iwol | 0.50 (100, 80, 60 in 120.0 km) | 0.50 (100, 80, 60 in 120.0 km) |",
+        "| mappo | > 32.53 (0, 0, 0 in 120.0 km) | > 32.53 (0, 0, 0 in 120.0 km) |",
+        "| magic | 0.40 [0.33, 0.49] (100 in 40.0 km) | 0.40 [0.33, 0.49] (100 in 40.0 km) |",
         "| explained variance of the world, % (± t-interval over seeds) |",
         "| im-iwol, 4 | 93.0 ± 0.0 | 90.0 ± 0.0 | 20 of 60 | 43.3 ± 14.3 | 30.0 ± 0.0 |",
         "| magic, 8 | 93.0 | 90.0 | 20 of 60 | 40.0 | 30.0 |",
@@ -228,6 +237,17 @@ fn kilometres_and_knowledge_have_tables() {
         assert!(markdown.contains(part), "{part} is missing in {markdown}");
     }
     assert!(!markdown.contains("variance of the interaction"), "{markdown}");
+
+    // Where a run is missing, every table says so.
+    let lost =
+        sweep.cells.iter().find(|cell| cell.id == "im-iwol_agents=4/seed_1").expect("a cell");
+    std::fs::remove_file(lost.result(&sweep.evaluations[0], &[])).expect("removed");
+    let (markdown, _) = report(&sweep, folder.path());
+    for part in
+        ["| im-iwol | 0.50 (100, 60 in 80.0 km) (2 of 3) |", "| im-iwol, 4 (2 of 3) | 93.0 ± 0.0 |"]
+    {
+        assert!(markdown.contains(part), "{part} is missing in {markdown}");
+    }
 }
 
 #[test]
@@ -247,6 +267,30 @@ fn published_values_stand_beside_a_series_that_exists() {
         of("magik").expect_err("refused").to_string(),
         "[[reference]] `paper`: beside = \"magik\" must be one of `im-iwol`, `mappo`, `magic`"
     );
+    // The lines of an evaluation with a grid of its own have longer names than those of the
+    // learning curves.
+    let text = r#"
+        [settings]
+        scenario = "scenarios/intersection.xml"
+        steps = 4096
+        [grid]
+        algorithm = ["mappo"]
+        "scenario.reward.time" = [0.0, 0.2]
+        [[evaluate]]
+        name = "last"
+        episodes = 100
+        grid = { "scenario.reward.time" = [0.0] }
+        [[reference]]
+        label = "paper"
+        beside = "mappo, trained with reward time 0.2"
+        metric = "success"
+        x = [0.0]
+        y = [0.5]
+    "#;
+    let sweep = Sweep::parse(text, "s.toml", "t", folder.path()).expect("a sweep");
+    results(&sweep, |_| 0.9, |_| Value::Null);
+    let out = folder.path().join("report");
+    report::write(&sweep, "iwol report", &out, Format::Png).expect("a report");
 }
 
 #[test]
@@ -306,25 +350,27 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     let table = tables.iter().find(|table| table[0][0] == "comparison").expect("a table");
     let [_, first, second, third, sooner, lacking] = &table[..] else { panic!("{table:?}") };
     assert_eq!(lacking[2..], ["5 (1 without a value), 5", "–", "–", "–"]);
-    // Holm's correction is for all five, made or not.
-    assert_eq!(first[5], "0.005", "{first:?}");
+    // The permutation test of two groups of five has p = 2/252 at least. Holm's correction is for all
+    // five, made or not.
+    assert_eq!(first[5], "0.040", "{first:?}");
     assert_eq!(first[..3], ["Im-IWoL against MAPPO among 4", "success %", "5, 5"], "{first:?}");
-    assert!(first[3].starts_with("30.0 [2") && first[4] == "< 0.001", "{first:?}");
+    assert!(first[3].starts_with("30.0 [2") && first[4] == "0.008", "{first:?}");
     assert!(second[3].starts_with("20.0 [1") && second[2] == "5, 5, 5, 5", "{second:?}");
+    assert_eq!(second[4..], ["–", "–"], "four groups of five have no p-value");
     assert_eq!(third[2..], ["1, 5", "–", "–", "–"]);
     assert!(
         sooner[1] == "success % over training" && sooner[3].starts_with("15.0 [1"),
         "{sooner:?}"
     );
 
-    // With three seeds there is a difference, and no p-value.
+    // With three seeds, the largest difference has p = 2/20.
     let small = folder.path().join("small");
     let three = text.replace(five, few).replace("seed = [1, 2, 3, 4]", "seed = [1, 2]");
     let sweep = Sweep::parse(&three, "s.toml", "s", &small).expect("a sweep");
     results(&sweep, success, |_| Value::Null);
     let (markdown, _) = report(&sweep, &small);
     let row = markdown.lines().find(|line| line.contains("Im-IWoL against MAPPO")).expect("a row");
-    assert!(row.contains("| 3, 3 | 30.0 [") && row.ends_with("| – | – |"), "{row}");
+    assert!(row.contains("| 3, 3 | 30.0 [") && row.ends_with("| 0.100 | 0.500 |"), "{row}");
 
     let wrong = |from: &str, to: &str| {
         let text = text.replace(from, to);

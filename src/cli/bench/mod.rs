@@ -15,6 +15,7 @@ use anyhow::bail;
 use super::Verdict;
 use crate::config::{Layers, full_name};
 use crate::env::EnvSpec;
+use crate::stats::aggregate::percentile;
 
 /// Measures the speed of simulation, decisions, updates and whole trainings.
 #[derive(Debug, clap::Args)]
@@ -72,6 +73,5 @@ fn median(values: &mut [f64]) -> f64 {
 /// Sorts the values and returns the `q`-quantile of them; NaN without values.
 fn quantile(values: &mut [f64], q: f64) -> f64 {
     values.sort_by(f64::total_cmp);
-    let last = values.len().saturating_sub(1);
-    values.get((values.len() as f64 * q) as usize).or(values.get(last)).copied().unwrap_or(f64::NAN)
+    percentile(values, q)
 }

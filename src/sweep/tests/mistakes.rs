@@ -116,6 +116,13 @@ fn mistakes_are_named() {
         message(("agents = [8]", "agents = [8], seed = 1, \"train.envs\" = 3"))
             .contains("[[rule]] number 1: no cell has")
     );
+    let seeds = message(("algorithm = \"mappo\" }", "algorithm = \"mappo\", seed = 1 }"));
+    assert!(
+        seeds.contains(
+            "mappo_agents=8/seed_0 and mappo_agents=8/seed_1 differ in more than their seed"
+        ),
+        "{seeds}"
+    );
     assert!(
         message(("steps = 9", "agents = 48"))
             .contains("[[rule]] number 1 sets agents, which has no effect")
