@@ -123,6 +123,15 @@ impl Host {
     }
 }
 
+/// Returns the most memory that this process has used so far \[GiB\]; that of SUMO's processes is not
+/// in it. `None` if the system does not say.
+pub fn peak_memory_gib() -> Option<f64> {
+    let text = fs::read_to_string("/proc/self/status").ok()?;
+    let line = text.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: f64 = line.split_whitespace().next()?.parse().ok()?;
+    Some((kibibytes / 1024.0 / 1024.0 * 100.0).round() / 100.0)
+}
+
 /// Returns the version of the libtorch that this process has loaded, from the file `build-version`
 /// in its folder; `None` if it cannot be read.
 pub fn libtorch_version() -> Option<String> {

@@ -27,7 +27,8 @@ pub struct Contrast {
     pub difference: Estimate,
     /// Two-sided p-value. Of two groups, that of a permutation test: the share of all divisions of
     /// the runs into two groups of these sizes whose difference is at least as large. It is valid for
-    /// any number of runs; with five runs each, the least value is 2/252. Of four groups, that of the
+    /// any number of runs; with five runs each, the least value is 4/252, because the interquartile
+    /// mean leaves out the lowest and the highest. Of four groups, that of the
     /// bootstrap: twice the smaller share of resamples on either side of 0; `None` if a group has
     /// fewer than [`RUNS_FOR_P`] runs.
     pub p: Option<f64>,

@@ -10,7 +10,7 @@ use super::RunDir;
 use crate::checkpoint::Progress;
 use crate::config::Config;
 use crate::fnv::Fnv;
-use crate::provenance::{Host, Program, Training};
+use crate::provenance::{self, Host, Program, Training};
 use crate::record;
 
 #[derive(Serialize)]
@@ -85,6 +85,7 @@ impl RunDir {
             ("steps".to_owned(), progress.step.into()),
             ("seconds".to_owned(), progress.seconds.into()),
             ("updated_unix_s".to_owned(), now().into()),
+            ("peak_memory_gib".to_owned(), provenance::peak_memory_gib().into()),
         ]
         .into_iter()
         .collect();
@@ -181,6 +182,7 @@ mod tests {
         let meta = dir.read_meta().expect("JSON");
         assert_eq!((&meta["steps"], &meta["scenario"]), (&64.into(), &"f".into()));
         assert!(meta["host"]["cores"].as_u64() > Some(0), "{meta}");
+        assert!(meta["peak_memory_gib"].as_f64() > Some(0.0), "{meta}");
 
         // First the same program resumes the run; then the file names another version.
         dir.begin_meta(&config, &at(64), "f", "one").unwrap();

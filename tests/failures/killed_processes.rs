@@ -99,14 +99,39 @@ fn an_interrupted_run_leaves_a_checkpoint_and_no_process() {
     );
 }
 
-/// The first interrupt lets the current iteration finish, here a long one; a second interrupt ends
-/// the program at once.
+/// An interrupt gives up the current iteration, here one with an update that takes long. The
+/// checkpoint is the state before it.
+#[test]
+fn an_interrupt_does_not_wait_for_an_update() {
+    let _beside = beside_others();
+    let folder = folder();
+    let run = folder.path().join("run");
+    let mut child = train(&run, &["ppo.epochs=100000", "ppo.minibatch=8"]);
+    wait_until("SUMO runs", 60, || {
+        run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2
+    });
+    // The rollout has 16 steps and ends soon.
+    thread::sleep(Duration::from_secs(2));
+    signal(child.id(), "INT");
+    let mut code = None;
+    wait_until("the program ends", 20, || {
+        code = child.try_wait().expect("its state").map(|status| status.code());
+        code.is_some()
+    });
+    assert_eq!(code, Some(Some(130)));
+    assert!(run.join("checkpoints/last.safetensors").exists());
+    assert_eq!(fs::read_to_string(run.join("metrics.jsonl")).expect("metrics"), "");
+}
+
+/// The first interrupt lets an update of MADDPG finish, here a long one; a second interrupt ends the
+/// program at once.
 #[test]
 fn a_second_interrupt_ends_it_at_once() {
     let _beside = beside_others();
     let folder = folder();
     let run = folder.path().join("run");
-    let mut child = train(&run, &["ppo.epochs=200", "ppo.minibatch=8"]);
+    let settings = ["algorithm=maddpg", "maddpg.updates=5000", "ppo.minibatch=8"];
+    let mut child = train(&run, &settings);
     wait_until("the first iteration", 120, || {
         fs::read(run.join("metrics.jsonl")).is_ok_and(|text| !text.is_empty())
     });
@@ -119,7 +144,7 @@ fn a_second_interrupt_ends_it_at_once() {
     assert_eq!(
         child.try_wait().expect("its state"),
         None,
-        "it did not wait for an update of 3,200 steps"
+        "it did not wait for an update of 5,000 steps"
     );
     signal(child.id(), "INT");
     let mut code = None;

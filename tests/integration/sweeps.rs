@@ -292,10 +292,12 @@ fn reports_of_mixed_traffic_say_what_the_others_met_with() {
 fn failures_are_told_and_retried_on_request() {
     let folder = folder();
     let out = folder.path().join("runs");
-    // The second seed cannot start, because its initial policy does not exist.
-    let broken = FILE.replace("steps = 4096", "steps = 256")
-        + "[[rule]]\nwhen = { seed = 1 }\nset = { init_from = \"nowhere\" }\n";
+    // The second seed cannot start, because its folder has a file of somebody else.
+    let broken = FILE.replace("steps = 4096", "steps = 256");
     let file = sweep_file(folder.path(), &broken);
+    let taken = out.join("tiny/mappo/seed_1");
+    std::fs::create_dir_all(&taken).expect("a folder");
+    std::fs::write(taken.join("scenario.xml"), "mine").expect("written");
     let run = |more: &[&str]| {
         let output = sweep(&file, &out, more).output().expect("it ran");
         (output.status.code(), text(&output.stdout), text(&output.stderr))
@@ -303,7 +305,10 @@ fn failures_are_told_and_retried_on_request() {
     let (code, stdout, stderr) = run(&[]);
     assert_eq!(code, Some(1), "{stderr}");
     assert!(stdout.contains("1 of 2 cells finished, 1 failed"), "{stdout}");
-    assert!(stderr.contains("mappo/seed_1 failed") && stderr.contains("nowhere"), "{stderr}");
+    assert!(
+        stderr.contains("mappo/seed_1 failed") && stderr.contains("does not belong to a run"),
+        "{stderr}"
+    );
     let (code, _, stderr) = run(&[]);
     assert_eq!(code, Some(1));
     assert!(
