@@ -126,8 +126,8 @@ impl MessageTrunk {
         (of_receivers(&made), of_receivers(&graph.full(&packing)))
     }
 
-    /// Computes the message path. Messages pass through the radio of training, or arrive as they
-    /// were sent.
+    /// Computes the message path. Messages pass through the radio of training. Without it, those that
+    /// are not lost arrive as they were sent.
     pub(super) fn forward(&self, scene: &Scene, radio: Option<&Radio>) -> Messages {
         if let Some(radio) = radio {
             return radio.exchange(&self.encoder, scene, |known, arrived| {
@@ -136,11 +136,11 @@ impl MessageTrunk {
         }
         let packing = scene.packing();
         let (embedding, memory) = scene.embed_packed(&self.encoder, &packing);
-        let noise = scene.noise.as_ref();
+        let (noise, heard) = (scene.noise.as_ref(), scene.heard());
         let graph = match self.most {
-            None => Graph::Full(self.graph.forward(&embedding, &packing, &scene.comm, noise)),
+            None => Graph::Full(self.graph.forward(&embedding, &packing, &heard, noise)),
             Some(most) => {
-                let neighbours = Neighbours::of(&scene.comm, &packing, most);
+                let neighbours = Neighbours::of(&heard, &packing, most);
                 let noise = noise.map(|noise| packing.pack(noise));
                 let edges = self.graph.forward_listed(&embedding, &neighbours, noise.as_ref());
                 Graph::Listed { neighbours, edges }

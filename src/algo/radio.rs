@@ -231,6 +231,27 @@ mod tests {
         assert_eq!(gradient(1), [width, width, width]);
     }
 
+    /// Where a value function reads messages without the radio, it hears none that is lost.
+    #[test]
+    fn lost_messages_are_cut_from_the_masks() {
+        let numbers = [0.0, -1.0, 7.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0_f32];
+        let mask = [1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0_f32];
+        let of = |numbers: &[f32]| Tensor::from_slice(numbers).view([1, N, N]);
+        let scene = |disturbance: Option<Tensor>| Scene {
+            observation: Tensor::zeros([1, N, 0], CPU),
+            memory: Tensor::zeros([1, N, 0], CPU),
+            keep: Tensor::ones([1, N], CPU),
+            comm: of(&mask),
+            disturbance,
+            noise: None,
+            length: 1,
+            pack: false,
+        };
+        let heard = [1.0, 0.0, 1.0, 0.0, 1.0, 1.0, 0.0, 1.0, 1.0];
+        assert!(scene(Some(of(&numbers))).heard().equal(&of(&heard)));
+        assert!(scene(None).heard().equal(&of(&mask)));
+    }
+
     #[test]
     fn as_many_messages_are_lost_and_false_as_should_be() {
         let channel = Channel { loss: 0.3, falsified: 0.5, ..Channel::default() };

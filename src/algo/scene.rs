@@ -64,6 +64,15 @@ fn some(tensor: &Tensor) -> Option<&Tensor> {
 }
 
 impl Scene {
+    /// Returns the physical masks without the edges whose messages are lost, `[L · C, N, N]`.
+    pub(super) fn heard(&self) -> Tensor {
+        let arrives = |numbers: &Tensor| numbers.ge(0.0).to_kind(self.comm.kind());
+        match &self.disturbance {
+            Some(numbers) => &self.comm * arrives(numbers),
+            None => self.comm.shallow_clone(),
+        }
+    }
+
     /// Returns the scene of one decision, with all slots.
     pub(super) fn of(input: &Observation, noise: Option<&Tensor>) -> Self {
         Self {

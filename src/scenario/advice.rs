@@ -18,6 +18,9 @@ use crate::words::counted;
 
 /// A horizon shorter than this multiple of the longest trip at the speed limits gives a warning.
 const PATIENCE: f64 = 2.0;
+/// The same for agents of route files: one that departs later than this multiple before the horizon
+/// does not count.
+const PATIENCE_OF_FILES: f64 = 4.0;
 /// Length of a vehicle up to which it has left a conflict point with its whole body where observations
 /// show the conflict as left \[m\].
 const LONGEST: f64 = 12.0;
@@ -229,10 +232,20 @@ impl Adviser<'_, '_, '_> {
         let (time, id) = trips.max_by(|a, b| a.0.total_cmp(&b.0))?;
         let (steps, horizon) =
             (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
+        let id = shorten(id);
+        if self.scenario.agents.come_from_files()
+            && (PATIENCE * steps..PATIENCE_OF_FILES * steps).contains(&horizon)
+        {
+            let need = (PATIENCE_OF_FILES * steps).ceil();
+            let message = format!(
+                "agents on route `{id}` never count in results: one counts if it departs more than {need} steps before the horizon of {horizon}"
+            );
+            let hint = format!("set the horizon to {:.0} steps or more", 2.0 * need);
+            return Some(self.warning("horizon", ["termination", "horizon"], message, &hint));
+        }
         if PATIENCE * steps <= horizon {
             return None;
         }
-        let id = shorten(id);
         let message = format!(
             "route `{id}` takes {steps:.0} steps at the speed limit, but the horizon is {horizon} steps"
         );

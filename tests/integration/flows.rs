@@ -119,6 +119,22 @@ fn mistake(from: &str, to: &str) -> String {
     error.to_string().replace(&format!("{}/", folder.path().display()), "")
 }
 
+/// Agents that depart less than four times the time of their route before the horizon do not count.
+#[test]
+fn a_horizon_before_which_no_agent_counts_is_told() {
+    let folder = folder();
+    let file = folder.path().join("merge.xml");
+    let text = fs::read_to_string(root().join("scenarios/flow_merge.xml")).expect("a scenario");
+    let text = text.replace("../sumo_nets", &root().join("sumo_nets").display().to_string());
+    let told = |horizon: &str| {
+        let text = text.replace("horizon=\"1800\"", &format!("horizon=\"{horizon}\""));
+        fs::write(&file, text).expect("written");
+        let findings = Scenario::check(&file).list;
+        findings.iter().any(|finding| finding.message.contains("never count in results"))
+    };
+    assert!(told("600") && !told("1800"));
+}
+
 #[test]
 fn agents_that_the_files_do_not_have_are_refused() {
     insta::assert_snapshot!(mistake("types=\"car\"", "types=\"cra\""), @"task.xml:12:42: `cra` is not a valid types of <agents>, allowed: ids of vTypes or vTypeDistributions of vehicles in the files; did you mean `car`?");

@@ -108,7 +108,7 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
     for (row, known) in rows.iter().filter_map(|row| Some((row, row.metrics.counted?))) {
         let _ = writeln!(
             text,
-            "{}: in {} of {} no agent arrived, failed or was unfinished; shares of agents are over the others",
+            "{}: in {} of {} no agent counts, because none came or all came too late; shares of agents are over the others",
             row.policy,
             row.episodes.saturating_sub(known),
             counted(row.episodes, "episode")

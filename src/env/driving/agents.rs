@@ -16,8 +16,15 @@ use super::vehicle::tyres::Motion;
 use crate::sumo::net::Aspect;
 
 /// A vehicle whose centre is more than this far past a conflict point counts as having left it
-/// \[m\]. Vehicles of up to 12 m have then left it with their whole bodies.
+/// \[m\]. Vehicles of up to 12 m have then left it with their whole bodies; for longer ones see
+/// [`cleared`].
 pub(crate) const CLEARED: f64 = 7.0;
+
+/// Returns how far the centre of a vehicle of size `other` has to be past a conflict point until the
+/// vehicle has left it with its whole body for a vehicle of size `own`: at least [`CLEARED`] \[m\].
+pub(crate) fn cleared(own: Size, other: Size) -> f64 {
+    CLEARED.max(f64::midpoint(other[0], own[1]))
+}
 
 /// What a slot holds.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -208,12 +215,15 @@ pub(crate) struct Traffic {
     stances: Vec<Stance>,
     /// The last priority number that was assigned.
     pub(crate) last_priority: u32,
+    /// Number of slots for agents, which come first; the others are for background traffic.
+    pub(crate) agents: usize,
 }
 
 impl Traffic {
-    /// Creates traffic without any vehicle.
+    /// Creates traffic without any vehicle, whose slots are all for agents.
     pub(crate) fn new(slots: usize, routes: usize) -> Self {
         Self {
+            agents: slots,
             slots: vec![Slot::default(); slots],
             by_route: vec![Vec::with_capacity(slots); routes],
             distances: vec![0.0; slots * slots],

@@ -7,6 +7,7 @@ use super::foresight::{Course, DRIVING, passing};
 use super::intention::{Intentions, Knowledge};
 use super::map::Map;
 use super::routes::RouteGeometry;
+use super::signals::STANDING;
 use crate::scenario::Observation;
 
 /// Distance to the first conflict point at which vehicles get their priority, in scenarios whose
@@ -199,10 +200,18 @@ fn is_held(routes: &[RouteGeometry], slot: &Slot) -> bool {
     })
 }
 
+/// Whether a vehicle of background traffic stands before its next conflict point. SUMO lets it go by
+/// its own rules, perhaps not before an agent has passed: an agent that waited for it could wait for
+/// ever.
+fn waits_by_own_rules(routes: &[RouteGeometry], slot: &Slot) -> bool {
+    slot.speed < STANDING && routes[slot.route].to_first_conflict(slot.s) > 0.0
+}
+
 /// Assigns priority to the vehicles that have come within `near` metres of their first conflict
 /// point, the closest vehicle first. If a vehicle's route is hidden, its distance is the one to the
 /// first conflict point on any route that it could still take. A vehicle before a red signal has
-/// no priority until the signal lets it pass.
+/// no priority until the signal lets it pass, and a vehicle of background traffic none while it
+/// stands before its conflicts.
 pub(crate) fn assign(
     traffic: &mut Traffic,
     routes: &[RouteGeometry],
@@ -213,17 +222,21 @@ pub(crate) fn assign(
         let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
         hidden.unwrap_or_else(|| routes[slot.route].to_first_conflict(slot.s))
     };
+    let agents = traffic.agents;
+    let has_none = |j: usize, slot: &Slot| {
+        is_held(routes, slot) || j >= agents && waits_by_own_rules(routes, slot)
+    };
     // A vehicle that has left a group of conflicts gets a new priority at the next one.
-    for slot in traffic.slots.iter_mut().filter(|slot| slot.status != Status::Empty) {
+    let slots = traffic.slots.iter_mut().enumerate();
+    for (j, slot) in slots.filter(|(_, slot)| slot.status != Status::Empty) {
         let group = routes[slot.route].group_at(slot.s);
-        if std::mem::replace(&mut slot.conflict_group, group) != group || is_held(routes, slot) {
+        if std::mem::replace(&mut slot.conflict_group, group) != group || has_none(j, slot) {
             slot.priority = 0;
         }
     }
     loop {
         let waiting = traffic.slots.iter_mut().enumerate().filter_map(|(j, slot)| {
-            let waits =
-                slot.status != Status::Empty && slot.priority == 0 && !is_held(routes, slot);
+            let waits = slot.status != Status::Empty && slot.priority == 0 && !has_none(j, slot);
             let distance = if waits { to_conflict(j, slot) } else { f64::INFINITY };
             (distance <= near).then_some((distance, slot))
         });

@@ -8,7 +8,7 @@
 //! follow. Its size depends only on the scenario's settings and never on the number of vehicles, so
 //! that one checkpoint serves any number.
 
-use super::agents::{CLEARED, Status};
+use super::agents::{Status, cleared};
 use super::observation::encounter::Encounters;
 use super::observation::group::{COUNT, SPEED, moving};
 use super::observation::signals;
@@ -152,9 +152,9 @@ fn write_streams(view: &View<'_>, w: &mut Writer<'_>) {
             let queue = view.traffic.by_route[conflict.route].iter();
             queue.filter(|&&j| j != view.slot)
         };
-        let approaching = queue()
-            .map(|&j| (conflict.other - view.traffic.slots[j].s, j))
-            .filter(|v| v.0 > -CLEARED);
+        let approaching = queue().map(|&j| (conflict.other - view.traffic.slots[j].s, j)).filter(
+            |&(distance, j)| distance > -cleared(view.own().size, view.traffic.slots[j].size),
+        );
         put_vehicles(view, w, approaching, PER_STREAM);
         put_counts(view, w, queue().copied());
     }

@@ -11,9 +11,10 @@ use super::signals::STANDING;
 use super::task::Task;
 use super::trip::Trip;
 
-/// An agent of a route file counts if it came on the road longer before the end of the episode than
-/// this multiple of the time that its route takes at the speed limits, whatever becomes of it. Others
-/// may have no time to arrive, and enough to crash.
+/// An agent of a route file counts if it came on the road longer before the horizon than this multiple
+/// of the time that its route takes at the speed limits, whatever becomes of it. Others may have no
+/// time to arrive, and enough to crash. An episode that ends before its horizon, because no agent is
+/// left, changes nothing of this.
 const PATIENCE: f64 = 4.0;
 
 /// The trips of an episode.
@@ -133,7 +134,7 @@ impl Trips {
     ) -> Counts {
         let mut trips = self.all(steps, agents, loitering);
         let begun = trips.len();
-        trips.retain(|trip| trip.has_time(task, steps));
+        trips.retain(|trip| trip.has_time(task));
         let count = |flag: fn(&Trip) -> bool| trips.iter().filter(|trip| flag(trip)).count() as f64;
         let delays: Vec<f64> = trips.iter().filter_map(|trip| trip.delay.map(f64::from)).collect();
         let interval = task.scenario.control.interval;
@@ -188,12 +189,12 @@ impl Trips {
 }
 
 impl Trip {
-    /// Whether an agent has had time to arrive in an episode of `steps` steps. Agents of spawn places
-    /// always have.
-    fn has_time(&self, task: &Task, steps: u32) -> bool {
+    /// Whether an agent has time to arrive before the horizon. Agents of spawn places always have.
+    fn has_time(&self, task: &Task) -> bool {
         self.departure.is_none() || {
-            let time = f64::from(steps - self.entered) * task.scenario.control.interval;
-            time > PATIENCE * task.map.free_time[self.route]
+            let steps = task.scenario.termination.horizon.saturating_sub(self.entered);
+            f64::from(steps) * task.scenario.control.interval
+                > PATIENCE * task.map.free_time[self.route]
         }
     }
 }

@@ -73,10 +73,12 @@ impl World {
         end: u64,
     ) -> Self {
         let (n, slots) = (task.agents, task.slots());
+        let mut traffic = Traffic::new(slots, task.map.routes.len());
+        traffic.agents = n;
         Self {
             driver,
             episode: Episode::new(seed, first, stride, end),
-            traffic: Traffic::new(slots, task.map.routes.len()),
+            traffic,
             intentions: Intentions::new(&task.map, task.scenario.observation, n, slots),
             right_of_way: RightOfWay::new(
                 &task.scenario.observation,

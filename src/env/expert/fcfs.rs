@@ -158,6 +158,29 @@ mod tests {
     }
 
     #[test]
+    fn nobody_waits_for_background_traffic_that_waits_by_its_own_rules() {
+        let task = task();
+        let mut traffic = traffic(&task, &[("west_straight", 15.0), ("south_straight", 6.0)]);
+        traffic.agents = 1;
+        let priorities = |traffic: &mut Traffic, speed: f64| {
+            traffic.slots[1].speed = speed;
+            assign(traffic, &task.map.routes, None, 20.0);
+            [traffic.slots[0].priority, traffic.slots[1].priority]
+        };
+        assert_eq!(priorities(&mut traffic, 5.0), [2, 1], "it was there first");
+        assert_eq!(priorities(&mut traffic, 0.0), [2, 0]);
+        assert_eq!(priorities(&mut traffic, 0.2), [2, 3], "it goes after the agent");
+        // In the junction, it keeps its priority.
+        let route = traffic.slots[1].route;
+        traffic.slots[1] = Slot { priority: 1, ..at(&task, route, traffic.slots[1].s + 7.0) };
+        assert_eq!(priorities(&mut traffic, 0.0), [2, 1]);
+        // Agents that stand keep theirs.
+        traffic.agents = 2;
+        traffic.slots[1] = Slot { priority: 1, ..at(&task, route, traffic.slots[1].s - 7.0) };
+        assert_eq!(priorities(&mut traffic, 0.0), [2, 1]);
+    }
+
+    #[test]
     fn a_blocking_vehicle_inherits_the_priority_of_the_vehicle_that_it_blocks() {
         let task = task();
         // The second vehicle stands in the path of the first, which has priority over it; the third

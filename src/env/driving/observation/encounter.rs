@@ -2,7 +2,7 @@
 //! first: in ascending order of the longer of both vehicles' distances to the conflict point.
 
 use super::group::{FeatureGroup, SPEED, View, Writer, moving};
-use crate::env::driving::agents::{CLEARED, Candidate, Slot, Status};
+use crate::env::driving::agents::{Candidate, Slot, Status, cleared};
 use crate::env::driving::foresight::{Course, DRIVING};
 use crate::env::driving::routes::RouteGeometry;
 use crate::env::spec::{Described, Features};
@@ -104,7 +104,8 @@ impl Encounter {
                 ahead: true,
             });
         }
-        let met = route.next_conflict(own.s, candidate.route, candidate.s, CLEARED)?;
+        let left = cleared(own.size, other.size).max(cleared(other.size, own.size));
+        let met = route.next_conflict(own.s, candidate.route, candidate.s, left)?;
         Some(Self {
             own: met.own - own.s,
             other: met.other - candidate.s,

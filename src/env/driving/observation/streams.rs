@@ -2,7 +2,7 @@
 //! conflict with it. A route with more conflicts than streams shows those that come next.
 
 use super::group::{COUNT, FeatureGroup, SPEED, View, Writer, moving};
-use crate::env::driving::agents::{CLEARED, Candidate};
+use crate::env::driving::agents::{CLEARED, Candidate, cleared};
 use crate::env::spec::Described;
 
 /// Features of a conflict point.
@@ -61,7 +61,8 @@ fn write(view: &View<'_>, w: &mut Writer<'_>) {
             // Queues have the vehicle furthest along first, which is next to the conflict point.
             let distances =
                 knowledge.on_route(conflict.route).map(|(s, j)| (conflict.other - s, j));
-            distances.filter(|&(distance, j)| distance > -CLEARED && view.detects(j))
+            let here = |j: usize| cleared(own.size, view.traffic.slots[j].size);
+            distances.filter(move |&(distance, j)| distance > -here(j) && view.detects(j))
         };
         let count = approaching().count() as f64 / COUNT;
         w.put([own_distance / scales.far, own_distance / scales.near, count, 1.0]);

@@ -389,6 +389,9 @@ fn agents_that_come_too_late_to_arrive_do_not_count() {
     assert!(counts.count >= 12.0 && counts.count < counts.begun, "{}", counts.count);
     let share = counts.crashed / counts.count;
     assert!((share - 0.25).abs() < 0.05, "{share} of {}", counts.count);
+    // The same agents count where the episode ends before the horizon, because no more come.
+    let early = trips.counts(&task, 400, &[], &[]);
+    assert_eq!((early.count, early.crashed), (counts.count, counts.crashed));
 }
 
 /// An episode whose agents all came too late to count says nothing about success.
