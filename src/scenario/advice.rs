@@ -65,6 +65,7 @@ pub(super) fn advise(
     findings.extend(left_out(&sound));
     if let Some(demand) = demand {
         findings.extend(unused(demand));
+        findings.extend(unsorted(demand));
         findings.extend(adviser.outside(&sound, demand));
         findings.extend(adviser.stops(&sound, demand));
     }
@@ -392,7 +393,7 @@ impl Adviser<'_, '_, '_> {
             f64::from(self.scenario.termination.horizon) * self.scenario.control.interval;
         let episode = format!(
             "within an episode, from {begin} s to {} s of the files' time",
-            begin + duration
+            (1000.0 * (begin + duration)).round() / 1000.0
         );
         let (wanted, outside) = (map.plan.wanted, map.plan.outside);
         if wanted == 0 {
@@ -463,6 +464,18 @@ fn left_out(maps: &[(&Net, &Map)]) -> Option<Finding> {
 
 /// Warns of attributes of the route files that have no effect: SUMO does not know them, or SUMO
 /// uses them and this program does not.
+/// Warns of vehicles that SUMO itself would ignore.
+fn unsorted(demand: &Demand) -> Option<Finding> {
+    let (count, id, place) = demand.unsorted.as_ref()?;
+    let message = format!(
+        "the file is not sorted by departure time: SUMO's own run ignores {count} of its vehicles and flows, which depart earlier than one before them, such as `{}`; here they drive",
+        shorten(id)
+    );
+    let hint =
+        "sort the file (SUMO's tools/route/sort_routes.py) before you compare with SUMO's own run";
+    Some(Finding::warning("unsorted", place.clone(), message, hint))
+}
+
 fn unused(demand: &Demand) -> impl Iterator<Item = Finding> {
     demand.unused.iter().map(|((element, key), (count, place))| {
         let message = format!("{key} of <{element}> has no effect ({})", counted(count, "time"));

@@ -50,6 +50,8 @@ const MAX_POINTS: usize = 1 << 16;
 /// Difference between a lane's length and the length of its shape that can be netconvert's
 /// rounding \[m\].
 const ROUNDING: f64 = 0.05;
+/// Length that netconvert gives to lanes without any \[m\].
+const SHORTEST: f64 = 0.1;
 
 /// A road network.
 #[derive(Debug, Clone, PartialEq)]
@@ -110,14 +112,16 @@ impl Lane {
 
     /// Returns SUMO's metres along the lane per metre of its shape, at least 1. The positions of
     /// places that lie a number of metres apart on the shape, and in SUMO, are so much further
-    /// apart. Differences that are netconvert's rounding count as none.
+    /// apart. Differences that are netconvert's rounding count as none, and so does the length that
+    /// it gives to a lane without any.
     pub fn stretch(&self) -> f64 {
         let metres = self
             .shape
             .windows(2)
             .map(|w| (w[1][0] - w[0][0]).hypot(w[1][1] - w[0][1]))
             .sum::<f64>();
-        if self.length - metres < ROUNDING { 1.0 } else { self.length / metres }
+        let is_point = metres < SHORTEST && self.length < SHORTEST + ROUNDING;
+        if self.length - metres < ROUNDING || is_point { 1.0 } else { self.length / metres }
     }
 }
 

@@ -106,7 +106,7 @@ fn an_interrupt_does_not_wait_for_an_update() {
     let _beside = beside_others();
     let folder = folder();
     let run = folder.path().join("run");
-    let mut child = train(&run, &["ppo.epochs=100000", "ppo.minibatch=8"]);
+    let mut child = train(&run, &["ppo.epochs=1000", "ppo.minibatch=8"]);
     wait_until("SUMO runs", 60, || {
         run.join("metrics.jsonl").exists() && sumo_children(child.id()).len() == 2
     });
@@ -114,7 +114,7 @@ fn an_interrupt_does_not_wait_for_an_update() {
     thread::sleep(Duration::from_secs(2));
     signal(child.id(), "INT");
     let mut code = None;
-    wait_until("the program ends", 20, || {
+    wait_until("the program ends", 10, || {
         code = child.try_wait().expect("its state").map(|status| status.code());
         code.is_some()
     });

@@ -56,3 +56,35 @@ fn attributes_that_others_make_ineffective_are_named() {
     let alone = near.replacen("cooperation=\"0.06\"", "cooperation=\"0\"", 1);
     assert_eq!(idle(&alone), ["shareRange of <reward> has no effect, because cooperation is 0"]);
 }
+
+/// SUMO ignores vehicles that depart earlier than one before them in their file; here they drive.
+#[test]
+fn files_that_are_not_sorted_are_told() {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR"));
+    let text = std::fs::read_to_string(root.join("scenarios/flow_cross.xml")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let text = text
+        .replace("../sumo_nets/flow_cross/cars.rou.xml", "a.rou.xml")
+        .replace("../sumo_nets", root.join("sumo_nets").to_str().unwrap());
+    let told = |departures: [&str; 4]| -> Vec<String> {
+        let vehicle = |(k, depart): (usize, &&str)| {
+            format!("<vehicle id=\"v{k}\" type=\"car\" route=\"r\" depart=\"{depart}\"/>")
+        };
+        let vehicles: String = departures.iter().enumerate().map(vehicle).collect();
+        let start = "<vType id=\"car\"/><route id=\"r\" edges=\"west_in east_out\"/>";
+        let routes = format!("<routes>{start}{vehicles}</routes>");
+        std::fs::write(folder.path().join("a.rou.xml"), routes).unwrap();
+        let file = folder.path().join("a.xml");
+        std::fs::write(&file, &text).unwrap();
+        let findings = Scenario::check(&file).list;
+        let unsorted = findings.into_iter().filter(|finding| finding.kind == "unsorted");
+        unsorted.map(|finding| finding.message).collect()
+    };
+    assert!(told(["0", "1", "1", "2"]).is_empty());
+    let messages = told(["0", "5", "3", "4"]);
+    assert!(
+        messages.len() == 1 && messages[0].contains("ignores 2 of its vehicles and flows"),
+        "{messages:?}"
+    );
+    assert!(messages[0].contains("such as `v2`"), "{messages:?}");
+}

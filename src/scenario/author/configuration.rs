@@ -52,6 +52,7 @@ const NAMED: usize = 6;
 
 /// What a configuration says.
 struct Configuration {
+    path: PathBuf,
     net: PathBuf,
     /// Route files and additional files in the order in which SUMO reads them.
     files: Vec<PathBuf>,
@@ -102,21 +103,21 @@ impl Configuration {
         let reader = Reader::new(path, &document);
         let root = document.root_element();
         let options = root.descendants().filter(|node| node.is_element() && *node != root);
-        let options: Vec<Node> = options.filter(|node| node.has_attribute("value")).collect();
+        let options: Vec<Node> = options.filter(|node| value_of(node).is_some()).collect();
         let option = |names: &[&str]| {
             let named = |node: &&Node| names.contains(&node.tag_name().name());
             options.iter().find(named).copied()
         };
         let folder = path.parent().unwrap_or(Path::new(""));
         let files = |names| -> Vec<PathBuf> {
-            let value = option(names).and_then(|node| node.attribute("value")).unwrap_or_default();
+            let value = option(names).and_then(|node| value_of(&node)).unwrap_or_default();
             let parts = value.split(',').map(str::trim).filter(|part| !part.is_empty());
             parts.map(|part| folder.join(part)).collect()
         };
         let time = |names, allowed: &str| match option(names) {
             None => Ok(None),
             Some(node) => {
-                let value = node.attribute("value").unwrap_or_default();
+                let value = value_of(&node).unwrap_or_default();
                 // A negative end stands for none.
                 let none = value.trim() == "-1";
                 let found = seconds(value);
@@ -145,6 +146,7 @@ impl Configuration {
             error.hinted("--sumocfg takes a configuration of `sumo` or `sumo-gui`")
         };
         Ok(Self {
+            path: path.to_owned(),
             net: net.ok_or_else(missing)?,
             files: [files(OPTIONS[2]), files(OPTIONS[1])].concat(),
             begin,
@@ -154,6 +156,13 @@ impl Configuration {
             outputs: outputs.collect(),
         })
     }
+}
+
+/// Returns the value of an option in one of the three forms that SUMO reads: `value="…"`, `v="…"`, or
+/// the text of the element.
+fn value_of<'a>(node: &Node<'a, '_>) -> Option<&'a str> {
+    let text = || node.text().map(str::trim).filter(|text| !text.is_empty());
+    node.attribute("value").or_else(|| node.attribute("v")).or_else(text)
 }
 
 /// Returns the error without the hint that it gives about files of scenarios.
@@ -244,6 +253,16 @@ fn draft(
     let longest = first.routes.iter().map(|laid| time(&net, &laid.path)).fold(0.0, f64::max);
     let duration = (PATIENCE * longest).max(EPISODE).min(span);
     let plan = demand.plan(&net, begin, duration)?;
+    if plan.wanted == 0 {
+        let why = match demand.first_departure() {
+            None => "its files have no vehicles, trips or flows; `iwol scenario import --net` takes a net alone".to_owned(),
+            Some(first) => format!(
+                "nobody departs from {begin} s to {:.0} s; the first departure is at {first} s: set <begin value=\"{first}\"/> in <time>",
+                begin + duration
+            ),
+        };
+        return Err(Error::NoDemand { path: configuration.path.clone(), why });
+    }
     let step = configuration.step.filter(|step| *step <= LONGEST_STEP).unwrap_or(STEP);
     if configuration.step != Some(step) {
         let given = configuration.step.map_or("SUMO's 1 s".into(), |step| format!("{step} s"));

@@ -60,6 +60,26 @@ pub enum Error {
         /// What is wrong.
         why: String,
     },
+    /// A net is missing, and so is the configuration from which it could be built.
+    #[error(
+        "there is neither the net `{}` nor its configuration for netconvert, `{}`; correct the file name in the scenario",
+        net.display(),
+        config.display()
+    )]
+    NoNet {
+        /// The net.
+        net: PathBuf,
+        /// The configuration that would stand beside it.
+        config: PathBuf,
+    },
+    /// Nobody of the demand of an import can be an agent.
+    #[error("`{}`: {why}", path.display())]
+    NoDemand {
+        /// The configuration.
+        path: PathBuf,
+        /// What is missing.
+        why: String,
+    },
     /// netconvert rejects the sources.
     #[error("netconvert cannot build `{}`: {message}", config.display())]
     Netconvert {

@@ -52,6 +52,9 @@ pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
     let mut built = Vec::new();
     for net in &scenario.nets {
         let before = state(&net.file)?;
+        if before == State::NoSources && !net.file.exists() {
+            return Err(Error::NoNet { net: net.file.clone(), config: configuration(&net.file) });
+        }
         let warnings = match before {
             State::NoSources => Vec::new(),
             State::UpToDate if !all => Vec::new(),

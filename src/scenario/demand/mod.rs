@@ -109,6 +109,11 @@ pub struct Demand {
     /// Attributes and elements without effect, as element and attribute, with the number of
     /// occurrences and the place of the first.
     pub(super) unused: BTreeMap<(String, String), (usize, Place)>,
+    /// Vehicles, trips and flows that depart earlier than one before them in their file, which SUMO
+    /// ignores: their number, and id and place of the first.
+    pub(super) unsorted: Option<(usize, String, Place)>,
+    /// Departure of the last vehicle of the present file that SUMO does not ignore \[s\].
+    last_departure: f64,
 }
 
 /// A type of vehicles or persons.

@@ -45,6 +45,7 @@ impl Demand {
         reader.expect_root(root, &ROOTS)?;
         reader.expect_attributes(root, &[])?;
         self.expect_children(reader, root, &table::ROOT)?;
+        self.last_departure = f64::NEG_INFINITY;
         for node in root.children().filter(Node::is_element) {
             match node.tag_name().name() {
                 "vType" => drop(self.vehicle_type(reader, node, text)?),
@@ -126,6 +127,19 @@ impl Demand {
         }
         possible(reader, node, &routes)?;
         Ok(routes)
+    }
+
+    /// Notes whether a vehicle or flow departs earlier than one before it in the file. SUMO reads on
+    /// until the present time only, and ignores it.
+    ///
+    /// Source: SUMO, `src/utils/vehicle/SUMORouteHandler.cpp` (`checkLastDepart`).
+    fn note_order(&mut self, reader: &Reader, node: Node, id: &str, departure: f64) {
+        if departure < self.last_departure {
+            let first = || (0, id.to_owned(), reader.at(node.range().start));
+            self.unsorted.get_or_insert_with(first).0 += 1;
+        } else if !node.has_attribute("line") {
+            self.last_departure = departure;
+        }
     }
 
     /// Returns the routes of the route or distribution that an attribute names.
@@ -308,6 +322,9 @@ impl Demand {
             }
             (begin, departures(reader, node, begin, end)?)
         };
+        if !walks && !triggered {
+            self.note_order(reader, node, id, begin);
+        }
         let (start, finish) = if walks {
             (Start::default(), Finish::default())
         } else {

@@ -356,6 +356,8 @@ fn positions_ahead_are_in_metres_of_the_lane() {
     let mut lane = parse(NET).unwrap().lanes[path.lanes[0]].clone();
     (lane.length, lane.shape) = (10.0, vec![[0.0, 0.0], [9.96, 0.0]]);
     assert_eq!(lane.stretch(), 1.0, "netconvert's rounding");
+    (lane.length, lane.shape) = (0.1, vec![[3.0, 0.0]; 2]);
+    assert_eq!(lane.stretch(), 1.0, "a node that only joins two roads");
 }
 
 #[test]

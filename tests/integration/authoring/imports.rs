@@ -208,6 +208,23 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
         import_configuration(folder.path(), "other", &path, None).unwrap_err().to_string()
     };
     let input = "<configuration>\n<net-file value=\"grid.net.xml\"/>";
+    write(
+        "late.rou.xml",
+        "<routes><trip id=\"t\" depart=\"25200\" from=\"left0A0\" to=\"B0right0\"/></routes>",
+    );
+    // SUMO reads the values of options in two more forms.
+    let late = refused(
+        "<configuration><net-file v=\"grid.net.xml\"/><route-files>late.rou.xml</route-files></configuration>",
+    );
+    assert!(
+        late.contains(
+            "b.sumocfg`: nobody departs from 0 s to 300 s; the first departure is at 25200 s"
+        ),
+        "{late}"
+    );
+    write("none.rou.xml", "<routes/>");
+    let none = refused(&format!("{input}<route-files value=\"none.rou.xml\"/></configuration>"));
+    assert!(none.contains("its files have no vehicles, trips or flows"), "{none}");
     let lacks = refused("<configuration>\n</configuration>");
     assert!(
         lacks.contains("b.sumocfg:1:1: <configuration> lacks the element `net-file`"),
