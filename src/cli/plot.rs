@@ -130,7 +130,9 @@ impl Group {
             seeds => format!("{} ({seeds} seeds)", self.label),
         };
         if curves.len() > 1 {
-            curves.iter_mut().for_each(|curve| curve.retain(|point| point.0 <= end));
+            for curve in &mut curves {
+                curve.retain(|point| point.0 <= end);
+            }
         }
         mean_curve(name, &curves, along, metric)
     }
