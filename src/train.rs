@@ -6,6 +6,7 @@
 
 #![cfg(feature = "learn")]
 
+mod activity;
 mod ahead;
 mod collect;
 mod error;
@@ -19,6 +20,7 @@ mod setup;
 #[cfg(test)]
 mod tests;
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
@@ -37,6 +39,7 @@ use crate::rollout::Rollout;
 use ahead::Ahead;
 use collect::{Collector, Exploring};
 
+pub use activity::{Activity, Present, Report, Stage};
 pub use error::Error;
 use files::Files;
 pub use run_dir::RunDir;
@@ -51,21 +54,6 @@ pub enum TrainingEnd {
     Solved,
     /// The caller asked to stop.
     Interrupted,
-}
-
-/// Report on an iteration, for the caller of [`Trainer::run`].
-#[derive(Debug, Clone, Copy)]
-pub struct Report {
-    /// Environment steps so far.
-    pub step: u64,
-    /// Environment steps per second of the last iteration.
-    pub steps_per_second: f64,
-    /// Success rate of the episodes that ended in the last iteration, with exploration noise;
-    /// `None` if none ended.
-    pub training_success: Option<f64>,
-    /// Success rate of the last validation in this call of [`Trainer::run`]; `None` before the
-    /// first.
-    pub validation_success: Option<f64>,
 }
 
 /// Seconds that each part of the loop took since the last report.
@@ -118,6 +106,7 @@ pub struct Trainer {
     ahead: Option<Ahead>,
     collector: Collector,
     progress: Progress,
+    activity: Arc<Activity>,
     seed: Seed,
 }
 
@@ -167,6 +156,11 @@ impl Trainer {
     /// Returns the progress of training.
     pub fn progress(&self) -> &Progress {
         &self.progress
+    }
+
+    /// Returns what [`Trainer::run`] is doing at present.
+    pub fn activity(&self) -> Arc<Activity> {
+        Arc::clone(&self.activity)
     }
 
     /// Returns whether nothing is left to train: the run has taken all its steps, or is solved.
@@ -330,9 +324,20 @@ impl Trainer {
             self.progress.step,
             self.progress.validated,
         )?;
-        let team = self.team.clone();
-        let rollout = || stop.load(Ordering::Relaxed);
-        let update = || rollout() || team.ranks.size() > 1 && team.must_stop();
+        let (team, activity) = (self.team.clone(), self.activity());
+        let is_stopped = || stop.load(Ordering::Relaxed);
+        // Beside an update, the rollout is not what the training waits for.
+        let in_turn = self.ahead.is_none();
+        let rollout = || {
+            if in_turn {
+                activity.count(Stage::Rollout);
+            }
+            is_stopped()
+        };
+        let update = || {
+            activity.count(Stage::Update);
+            is_stopped() || team.ranks.size() > 1 && team.must_stop()
+        };
         let stops = Stops { rollout: &rollout, update: &update };
         let mut validation_success = None;
         let outcome = loop {
@@ -345,6 +350,7 @@ impl Trainer {
             if due && self.progress.validated < self.progress.step {
                 // The checkpoint comes first, so that a failing validation loses no training.
                 self.checkpoint().save(&dir.last())?;
+                activity.count(Stage::Validation);
                 let evaluation = self.validate(stop)?;
                 if stop.load(Ordering::Relaxed) {
                     continue;

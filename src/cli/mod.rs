@@ -29,6 +29,8 @@ mod doctor;
 mod evaluate;
 mod export;
 mod plot;
+#[cfg(feature = "learn")]
+mod progress;
 mod replay;
 mod report;
 mod scenario;

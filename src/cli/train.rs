@@ -6,10 +6,9 @@ use std::io::IsTerminal as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::{Context as _, bail};
-use indicatif::{ProgressBar, ProgressStyle};
 
 use crate::checkpoint::Checkpoint;
 use crate::config::{
@@ -22,6 +21,7 @@ use crate::train::{Report, RunDir, Trainer, TrainingEnd, human_duration};
 use crate::words::counted;
 
 use super::config::SettingsArgs;
+use super::progress::ProgressView;
 use super::{Verdict, program, word};
 
 /// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags.
@@ -302,49 +302,6 @@ fn announce(
     }
 }
 
-/// The progress of a training on standard error: a bar in a terminal, else a line at most every ten
-/// seconds.
-struct ProgressView {
-    bar: ProgressBar,
-    terminal: bool,
-    last_line: Instant,
-    steps: u64,
-}
-
-impl ProgressView {
-    fn new(steps: u64, begun: u64, terminal: bool) -> Self {
-        let bar = ProgressBar::new(steps);
-        bar.set_style(
-            ProgressStyle::with_template(
-                "{bar:30} {human_pos}/{human_len} steps  {msg}  ETA {eta}",
-            )
-            .expect("a valid template"),
-        );
-        bar.set_position(begun);
-        bar.reset_eta();
-        Self { bar, terminal, last_line: Instant::now(), steps }
-    }
-
-    fn show(&mut self, report: &Report) {
-        let percent = |share: Option<f64>| {
-            share.map_or_else(|| "-".to_owned(), |s| format!("{:.1} %", 100.0 * s))
-        };
-        let message = format!(
-            "{:.0} steps/s  success {} (validation {})",
-            report.steps_per_second,
-            percent(report.training_success),
-            percent(report.validation_success)
-        );
-        if self.terminal {
-            self.bar.set_position(report.step);
-            self.bar.set_message(message);
-        } else if self.last_line.elapsed() > Duration::from_secs(10) || report.step >= self.steps {
-            self.last_line = Instant::now();
-            say!("{:>9} steps  {message}", report.step);
-        }
-    }
-}
-
 fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     let (first, processes) = (ranks.rank() == 0, ranks.size());
     let given = &args.settings;
@@ -379,9 +336,11 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     let worlds = worlds_of(config, place);
     dir.begin_meta(config, trainer.progress(), &place.fingerprint(), &worlds)?;
     let terminal = first && std::io::stderr().is_terminal();
-    let mut view = ProgressView::new(config.steps, trainer.progress().step, terminal);
-    let outcome = trainer.run(&dir, &stop, &mut |report: &Report| view.show(report));
-    view.bar.finish_and_clear();
+    let begun = trainer.progress().step;
+    let view = ProgressView::new(config.steps, begun, config.train.envs, terminal);
+    let outcome = view.beside(&trainer.activity(), |view| {
+        trainer.run(&dir, &stop, &mut |report: &Report| view(report))
+    });
     let outcome = outcome.with_context(|| {
         let kept = if dir.last().exists() {
             format!("; continue with: {} train --resume --out {}", program(), word(dir.path()))

@@ -1,5 +1,7 @@
 //! Sets up a run: learner, worlds and rollout, new or from a checkpoint.
 
+use std::sync::Arc;
+
 use tch::Tensor;
 
 use super::ahead::Ahead;
@@ -115,6 +117,7 @@ impl Trainer {
             learner,
             team: team.clone(),
             progress,
+            activity: Arc::default(),
             seed,
         };
         if let Some(player) = player {

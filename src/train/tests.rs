@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex};
 use tch::{Kind, Tensor};
 use toml::Value;
 
-use super::{RunDir, Stops, Trainer, TrainingEnd};
+use super::{RunDir, Stage, Stops, Trainer, TrainingEnd};
 use crate::algo::Stop;
 use crate::checkpoint::Checkpoint;
 use crate::config::{Config, Layers};
@@ -451,4 +451,28 @@ fn overlaps_are_refused_where_they_cannot_be() {
     let layers = Layers { sets, ..Layers::default() };
     let error = layers.for_environment(&*navigation).expect_err("refused").to_string();
     assert!(error.contains("train.overlap") && error.contains("replay buffer"), "{error}");
+}
+
+/// After an iteration, the activity is the update, with all of its gradient steps; the next one
+/// begins to count anew.
+#[test]
+fn the_activity_counts_the_steps_of_each_stage() {
+    let settings = config("mappo", &["ppo.epochs=3", "train.validate_every=100000"]);
+    let samples = settings.train.envs * settings.train.rollout_steps * settings.agents as usize;
+    let minibatches = samples.div_ceil(settings.learner.ppo.minibatch);
+    let mut trainer = Trainer::new(settings, environment()).expect("a trainer");
+    let activity = trainer.activity();
+    assert!(activity.present().is_none());
+    let folder = tempfile::tempdir().expect("a folder");
+    let (dir, mut counts) = (RunDir::new(folder.path()), Vec::new());
+    let never = AtomicBool::new(false);
+    trainer
+        .run(&dir, &never, &mut |_| {
+            let present = activity.present().expect("an update has begun");
+            assert_eq!(present.stage, Stage::Update);
+            counts.push(present.count as usize);
+        })
+        .expect("it runs");
+    assert!(counts.len() > 1 && counts.iter().all(|count| *count == 3 * minibatches), "{counts:?}");
+    assert_eq!(activity.present().map(|present| present.stage), Some(Stage::Validation));
 }
