@@ -134,9 +134,22 @@ impl Batch {
     }
 
     /// Adds a command that reads a variable of an object. The value is that at the command's
-    /// position in the batch, so before the step.
+    /// position in the batch, so before the step. SUMO crashes if the variable needs an argument:
+    /// [`Batch::get_with`] sends it.
     pub fn get(&mut self, domain: Domain, variable: u8, object: &str) {
-        self.call(Call::get("", domain, variable), object, |_| {});
+        self.get_with(domain, variable, object, |_| {});
+    }
+
+    /// Adds a command that reads a variable of an object for an argument, such as the name of a
+    /// parameter; `argument` writes the typed argument.
+    pub fn get_with(
+        &mut self,
+        domain: Domain,
+        variable: u8,
+        object: &str,
+        argument: impl FnOnce(&mut Writer),
+    ) {
+        self.call(Call::get("", domain, variable), object, argument);
     }
 
     /// Adds a command that reads or changes a variable of an object.

@@ -29,10 +29,10 @@ pub use version::Version;
 /// exchange. [`Client::batch`] combines any number of calls in one exchange.
 ///
 /// For several clients, start SUMO with `--num-clients <n>`. SUMO answers no client before all of
-/// them have connected. Then the first exchange of each client must be [`Client::set_order`], which
-/// [`Client::handshake`] may follow, and every step waits for all clients. SUMO carries out the
-/// commands of one client after those of the other, does not support [`Client::load`] in this mode,
-/// and reports every subscription to every client.
+/// them have connected. Each client has to call [`Client::set_order`] before its first step, and
+/// every step waits for all clients. SUMO carries out the commands of one client after those of the
+/// other, does not support [`Client::load`] in this mode, and reports every subscription to every
+/// client.
 #[derive(Debug)]
 pub struct Client {
     stream: TcpStream,
@@ -45,6 +45,8 @@ pub struct Client {
     bytes: (u64, u64),
     /// The batch for calls of one exchange each, kept to reuse its buffers.
     single: Batch,
+    /// Whether the reply to the last message has not been read yet.
+    awaiting: bool,
 }
 
 impl Client {
@@ -52,8 +54,10 @@ impl Client {
     /// reply.
     ///
     /// # Errors
-    /// [`Error::Connect`] if no process listens on `address`.
+    /// [`Error::Connect`] if no process listens on `address`; [`Error::Invalid`] if `timeout` is
+    /// zero.
     pub fn connect(address: SocketAddr, timeout: Duration) -> Result<Self, Error> {
+        check_timeout(timeout)?;
         let stream = TcpStream::connect_timeout(&address, timeout)
             .map_err(|source| Error::Connect { port: address.port(), attempts: 1, source })?;
         Self::new(stream, timeout)
@@ -75,8 +79,10 @@ impl Client {
     /// Returns a client for a connection that is already open.
     ///
     /// # Errors
-    /// [`Error::Io`] if `TCP_NODELAY` or the timeouts cannot be set.
+    /// [`Error::Io`] if `TCP_NODELAY` or the timeouts cannot be set; [`Error::Invalid`] if
+    /// `timeout` is zero.
     pub fn new(stream: TcpStream, timeout: Duration) -> Result<Self, Error> {
+        check_timeout(timeout)?;
         stream.set_nodelay(true).map_err(|source| Error::Io { doing: SETTING_UP, source })?;
         set_timeouts(&stream, timeout)?;
         Ok(Client {
@@ -85,6 +91,7 @@ impl Client {
             timeout,
             time_s: None,
             single: Batch::new(),
+            awaiting: false,
             bytes: (0, 0),
         })
     }
@@ -103,9 +110,7 @@ impl Client {
     /// # Errors
     /// [`Error::Invalid`] if `timeout` is zero; [`Error::Io`] if the timeout cannot be set.
     pub fn set_timeout(&mut self, timeout: Duration) -> Result<(), Error> {
-        if timeout.is_zero() {
-            return Err(Error::invalid("a timeout must be longer than zero"));
-        }
+        check_timeout(timeout)?;
         set_timeouts(&self.stream, timeout)?;
         self.timeout = timeout;
         Ok(())
@@ -117,7 +122,9 @@ impl Client {
     }
 
     /// Simulates one step (`until` = 0), or up to the time `until` \[s\], and returns what the
-    /// subscriptions report. If `until` is neither 0 nor in the future, SUMO simulates nothing.
+    /// subscriptions report. If `until` is neither 0 nor in the future, SUMO simulates nothing. All
+    /// steps up to `until` are one reply, for which the client waits no longer than its timeout
+    /// ([`Client::set_timeout`]).
     ///
     /// # Errors
     /// As [`Client::step`].
@@ -126,17 +133,25 @@ impl Client {
     }
 
     /// Replaces the simulation by one with other command line arguments (without the program's
-    /// name). All subscriptions end. SUMO does not support this with several clients.
+    /// name), and waits until SUMO has loaded it, no longer than the client's timeout;
+    /// [`Process::load`](super::process::Process::load) waits for as long as SUMO works. All
+    /// subscriptions end. SUMO does not support this with several clients.
     ///
     /// # Errors
-    /// [`Error::Refused`] if SUMO cannot load the simulation; SUMO may also terminate, with an
-    /// error as in [`Client::receive`].
-    pub fn load(&mut self, arguments: &[impl AsRef<str>]) -> Result<(), Error> {
+    /// [`Error::Closed`] if SUMO cannot load the simulation, whereupon it terminates;
+    /// [`Error::Timeout`] if it takes longer; the errors of [`Client::handshake`].
+    pub fn load(&mut self, arguments: &[impl AsRef<str>]) -> Result<Version, Error> {
+        self.begin_load(arguments)?;
+        self.handshake()
+    }
+
+    /// Tells SUMO to load another simulation. SUMO agrees before it reads the files.
+    pub(super) fn begin_load(&mut self, arguments: &[impl AsRef<str>]) -> Result<(), Error> {
         self.call(|batch| batch.load(arguments)).map(drop)
     }
 
     /// Sets the rank of this client among several; SUMO carries out the commands of lower numbers
-    /// first. This must be the first exchange of each client, before [`Client::handshake`].
+    /// first. Each client has to call this before its first step.
     ///
     /// # Errors
     /// As [`Client::call`].
@@ -210,9 +225,13 @@ impl Client {
     /// last command if `until` is given. A message without commands is not sent.
     ///
     /// # Errors
-    /// [`Error::Invalid`] if the message is too long or `until` is negative or not finite;
-    /// [`Error::Closed`] or [`Error::Timeout`] if the message cannot be sent.
+    /// [`Error::Invalid`] if the message is too long, `until` is negative or not finite, or the reply
+    /// to the message before has not been received; [`Error::Closed`] or [`Error::Timeout`] if the
+    /// message cannot be sent.
     pub fn send(&mut self, batch: &mut Batch, until: Option<f64>) -> Result<(), Error> {
+        if self.awaiting {
+            return Err(Error::invalid("the reply to the last message has not been received yet"));
+        }
         let message = batch.seal(until)?;
         if message == SILENCE {
             return Ok(());
@@ -220,7 +239,9 @@ impl Client {
         self.bytes.0 += message.len() as u64;
         let written = self.stream.write_all(message);
         let written = written.map_err(|source| self.broken(doing(batch), &source));
-        self.give_up_on_error(written)
+        self.give_up_on_error(written)?;
+        self.awaiting = true;
+        Ok(())
     }
 
     /// Waits for the reply to the last [`Client::send`]; `batch` must be the batch that was sent,
@@ -228,10 +249,14 @@ impl Client {
     ///
     /// # Errors
     /// [`Error::Closed`], [`Error::Timeout`], [`Error::Protocol`], and the errors of the sink, all
-    /// of them fatal. A refused command is not an error here; it is passed to [`Sink::refused`].
+    /// of them fatal; [`Error::Invalid`] if nothing has been sent to which SUMO would reply. A refused
+    /// command is not an error here; it is passed to [`Sink::refused`].
     pub fn receive(&mut self, batch: &Batch, sink: &mut impl Sink) -> Result<(), Error> {
         if batch.is_silent() {
             return parse_reply(&SILENCE, batch, sink);
+        }
+        if !std::mem::take(&mut self.awaiting) {
+            return Err(Error::invalid("no message has been sent to which SUMO would reply"));
         }
         let message = self.read_message(doing(batch));
         let read = message.and_then(|length| parse_reply(&self.input[..length], batch, sink));
@@ -240,15 +265,17 @@ impl Client {
 
     /// Closes the connection after an error, so that a late answer cannot be mistaken for the
     /// answer to the next message.
-    fn give_up_on_error(&self, result: Result<(), Error>) -> Result<(), Error> {
+    fn give_up_on_error(&mut self, result: Result<(), Error>) -> Result<(), Error> {
         if result.is_err() {
+            self.awaiting = false;
             // Fails only if the connection is already closed.
             let _ = self.stream.shutdown(Shutdown::Both);
         }
         result
     }
 
-    /// Closes the connection after telling SUMO so, whereupon SUMO terminates.
+    /// Closes the connection after telling SUMO so. Without other clients, SUMO then finishes its
+    /// output files and terminates; [`Process::wait`](super::process::Process::wait) waits for that.
     ///
     /// # Errors
     /// As [`Client::receive`].
@@ -325,6 +352,13 @@ const POLL: Duration = Duration::from_millis(1);
 /// Longest duration of one attempt to connect.
 const ATTEMPT: Duration = Duration::from_secs(1);
 const SETTING_UP: &str = "set up the connection to sumo";
+
+fn check_timeout(timeout: Duration) -> Result<(), Error> {
+    if timeout.is_zero() {
+        return Err(Error::invalid("a timeout must be longer than zero"));
+    }
+    Ok(())
+}
 
 /// Opens a connection to `address`. Retries for up to `wait` while no process listens there, as long
 /// as `check` succeeds.

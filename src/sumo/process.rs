@@ -90,7 +90,8 @@ impl Default for Options {
     }
 }
 
-/// A running SUMO process, which is killed when this value is dropped.
+/// A running SUMO process, which is killed when this value is dropped. Where SUMO writes output
+/// files, [`Client::close`] and then [`Process::wait`] let it finish them.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -107,10 +108,11 @@ pub struct Process {
 
 impl Process {
     /// Starts SUMO, connects to it, and checks that the process that answers is the one that was
-    /// started.
+    /// started. With `--num-clients`, SUMO answers once the other clients have connected as well.
     ///
     /// # Errors
-    /// [`Error::NotFound`] and [`Error::Spawn`] if SUMO cannot be found or started;
+    /// [`Error::NotFound`] and [`Error::Spawn`] if SUMO cannot be found or started; [`Error::Io`] if
+    /// the given port, or any port, cannot be opened; [`Error::Invalid`] if `reply_timeout` is zero;
     /// [`Error::Exited`] if SUMO ends while it loads; [`Error::PortTaken`] if the given port, or
     /// each of several free ports, is taken by another program; [`Error::NotLoaded`] if SUMO hangs
     /// while it loads; the errors of [`Client::handshake`].
@@ -221,8 +223,18 @@ impl Process {
         }
     }
 
-    /// Waits until SUMO, which has been told to load other files, has loaded them.
-    pub(super) fn loaded(&mut self, client: &mut Client) -> Result<Version, Error> {
+    /// Replaces the simulation as [`Client::load`] does, but waits for SUMO as [`Process::start`]
+    /// does while it loads its files.
+    ///
+    /// # Errors
+    /// [`Error::Exited`] if SUMO cannot load the simulation; [`Error::NotLoaded`] if it hangs; the
+    /// errors of [`Client::handshake`].
+    pub fn load(
+        &mut self,
+        client: &mut Client,
+        arguments: &[impl AsRef<str>],
+    ) -> Result<Version, Error> {
+        client.begin_load(arguments)?;
         let mut loading = Loading::begin(&self.group, self.patience);
         let answer = client.handshake_while(|| self.is_loading(&mut loading));
         answer.map_err(|error| self.explain(error))
@@ -258,6 +270,24 @@ impl Process {
             return Ok(false);
         };
         self.group.holds(&socket)
+    }
+
+    /// Waits until SUMO has ended by itself, as it does after [`Client::close`] once it has written
+    /// its output files; at most as long as `patience`. A SUMO that is killed before leaves incomplete
+    /// files.
+    ///
+    /// # Errors
+    /// [`Error::Timeout`] if SUMO still runs; [`Error::Exited`] if it ended with a failure.
+    pub fn wait(&mut self, patience: Duration) -> Result<(), Error> {
+        match (self.exited(patience), self.status) {
+            (_, Some(status)) if status.success() => Ok(()),
+            (Some(error), _) => Err(error),
+            (None, _) => Err(Error::Timeout {
+                command: "close",
+                seconds: patience.as_secs_f64(),
+                sim_time_s: None,
+            }),
+        }
     }
 
     /// Returns the process identifier.

@@ -80,8 +80,7 @@ impl TraciSimulation {
     fn load(&mut self) -> Result<(), Error> {
         let arguments: Vec<String> =
             self.fleet.arguments()?.into_iter().map(|a| a.to_string_lossy().into_owned()).collect();
-        self.client.load(&arguments)?;
-        self.version = self.process.loaded(&mut self.client)?;
+        self.version = self.process.load(&mut self.client, &arguments)?;
         self.introduce()
     }
 

@@ -192,6 +192,33 @@ fn a_large_claim_that_is_not_kept_costs_no_memory() {
     peer.join().unwrap();
 }
 
+/// A reply is never taken for that to another message.
+#[test]
+fn each_message_waits_for_its_own_reply() {
+    let (mut client, peer) = client_of(&[], Some(Duration::from_millis(300)));
+    let (mut first, mut second) = (Batch::new(), Batch::new());
+    first.vehicle().get_speed("a");
+    second.vehicle().get_speed("b");
+    let mut sink = Collector::new(&first);
+    let unsent = client.receive(&first, &mut sink);
+    assert!(matches!(unsent, Err(Error::Invalid { .. })), "{unsent:?}");
+    client.send(&mut first, None).unwrap();
+    let early = client.send(&mut second, None);
+    assert!(matches!(early, Err(Error::Invalid { .. })), "{early:?}");
+    assert!(matches!(client.vehicle().get_speed("b"), Err(Error::Invalid { .. })));
+    peer.join().unwrap();
+}
+
+#[test]
+fn a_timeout_is_longer_than_zero() {
+    let listener = std::net::TcpListener::bind(("127.0.0.1", 0)).unwrap();
+    let address = listener.local_addr().unwrap();
+    let connected = Client::connect(address, Duration::ZERO);
+    assert!(matches!(connected, Err(Error::Invalid { .. })), "{connected:?}");
+    let within = Client::connect_within(address, Duration::from_secs(1), Duration::ZERO);
+    assert!(matches!(within, Err(Error::Invalid { .. })), "{within:?}");
+}
+
 #[test]
 fn silence_is_a_timeout_and_an_end_is_closed() {
     let (mut client, peer) = client_of(&[0, 0], Some(Duration::from_millis(600)));

@@ -83,7 +83,7 @@ setters! { Lane, "lane";
     set_disallowed "setDisallowed" 0x35 (classes: &[impl AsRef<str>]);
     /// Sets the speed limit \[m/s\].
     set_max_speed "setMaxSpeed" 0x41 (speed: f64);
-    /// Sets the friction, 0 to 1. SUMO 1.15 refuses this call.
+    /// Sets the friction, 0 to 1. SUMO 1.15 and 1.28 refuse this call.
     set_friction "setFriction" 0x3d (friction: f64);
     /// Sets the length \[m\].
     set_length "setLength" 0x44 (length: f64);

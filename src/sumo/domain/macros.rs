@@ -34,7 +34,7 @@ macro_rules! domain {
         impl<S: crate::sumo::domain::Scope> $handle<'_, S> {
             /// Subscribes to variables of the object: SUMO reports them now and after each later
             /// step, in addition to the variables of earlier subscriptions. Call
-            /// [`unsubscribe`](Self::unsubscribe) first to replace those. In a batch,
+            /// [`unsubscribe`](Self::unsubscribe) first to replace those. An empty list unsubscribes. In a batch,
             /// `Replies::first` has the current values; a client's call drops them.
             ///
             /// # Errors
@@ -90,7 +90,8 @@ macro_rules! domain {
                 self.subscribe_with(id, VAR_PARAMETER_WITH_KEY, key)
             }
 
-            /// Ends all subscriptions to variables of the object.
+            /// Ends all subscriptions to variables of the object. SUMO refuses this if there are none,
+            /// also because the object has left the simulation.
             pub fn unsubscribe(&mut self, id: &str) -> S::Output<()> {
                 self.subscribe(id, &[])
             }
@@ -124,7 +125,7 @@ macro_rules! domain {
             }
 
             /// Ends all subscriptions, of any range, to objects of the domain `around` near this
-            /// object.
+            /// object. SUMO refuses this if there are none.
             pub fn unsubscribe_context(
                 &mut self,
                 id: &str,

@@ -2,8 +2,8 @@
 //! views of the graphical interface, induction loops, junctions, lanes, lane area detectors,
 //! parking areas, persons, points of interest, polygons, routes, the simulation, traffic lights,
 //! vehicles and vehicle types. The other kinds of objects in SUMO 1.15, such as
-//! [`Domain::BUS_STOP`], have no module here; [`Batch::get`], [`Batch::set`] and
-//! [`Batch::subscribe`] reach their variables by number.
+//! [`Domain::BUS_STOP`], have no module here; [`Batch::get`], [`Batch::get_with`], [`Batch::set`]
+//! and [`Batch::subscribe`] reach their variables by number.
 //!
 //! Each kind of object has one module, with a handle whose methods have SUMO's names in snake case:
 //! `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs

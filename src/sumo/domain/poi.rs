@@ -47,7 +47,8 @@ setters! { Poi, "poi";
         let Appearance { color, kind, layer, image_file, width, height, angle } = *appearance;
         (kind, color, layer, position, image_file, width, height, angle)
     };
-    /// Draws a circle around the point in the graphical interface.
+    /// Draws a circle around the point in the graphical interface. SUMO refuses circles that do not
+    /// fade (`fade` is `None`).
     highlight "highlight" 0x6c (highlight: &Highlight);
 }
 

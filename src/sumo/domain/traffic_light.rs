@@ -50,7 +50,8 @@ impl Phase {
 pub struct Logic {
     /// Program identifier.
     pub program_id: String,
-    /// Kind of program. 0: fixed times, 3: actuated, 4: based on delay.
+    /// Kind of program. 0: fixed times, 3: actuated, 4: NEMA (SUMO terminates if its parameters are
+    /// not given), 5: based on delay.
     pub kind: i32,
     /// Index of the current phase.
     pub current_phase_index: i32,

@@ -102,10 +102,62 @@ fn states_and_simulations_are_loaded() {
         "subscriptions are lost"
     );
     assert!(matches!(client.simulation().load_state("/nowhere.xml"), Err(Error::Refused { .. })));
-    client.load(&world.arguments()).unwrap();
+    assert!(client.load(&world.arguments()).unwrap().software.contains("SUMO"));
     assert_eq!(client.simulation().get_time().unwrap(), 0.0);
     client.simulation_step(2.0).unwrap();
     assert!(client.vehicle().get_id_list().unwrap().contains(&"parker".to_owned()));
+}
+
+/// A simulation that SUMO cannot load is an error of the call that asks for it.
+#[test]
+fn a_simulation_that_cannot_be_loaded_is_an_error_at_once() {
+    let (mut process, mut client) = start();
+    let missing = client.load(&["--net-file", "/nowhere.net.xml"]);
+    assert!(matches!(missing, Err(Error::Closed { .. })), "{missing:?}");
+    let (mut other, mut client) = start();
+    let missing = other.load(&mut client, &["--net-file", "/nowhere.net.xml"]);
+    assert!(matches!(missing, Err(Error::Exited { .. })), "{missing:?}");
+    assert!(matches!(process.wait(Duration::from_secs(20)), Err(Error::Exited { .. })));
+}
+
+/// After a connection is closed, SUMO finishes its output files, if it is given the time.
+#[test]
+fn output_files_are_complete_after_a_wait() {
+    let world = World::new();
+    let [trips, summary] = ["trips.xml", "summary.xml"].map(|name| world.file(name));
+    let mut arguments: Vec<_> = world.arguments().into_iter().map(Into::into).collect();
+    let outputs = [("--tripinfo-output", &trips), ("--summary-output", &summary)];
+    arguments.extend(outputs.iter().flat_map(|(option, file)| [(*option).into(), (*file).into()]));
+    let options = Options { arguments, ..Options::default() };
+    let (mut process, mut client, _) = Process::start(&options).unwrap();
+    client.simulation_step(600.0).unwrap();
+    let early = process.wait(Duration::ZERO);
+    assert!(matches!(early, Err(Error::Timeout { .. })), "{early:?}");
+    client.close().unwrap();
+    process.wait(Duration::from_secs(20)).unwrap();
+    for (file, end) in [(trips, "</tripinfos>"), (summary, "</summary>")] {
+        let text = std::fs::read_to_string(&file).unwrap();
+        assert!(text.trim_end().ends_with(end), "{}", file.display());
+    }
+}
+
+/// Variables with an argument can be read in kinds of objects that have no module.
+#[test]
+fn variables_with_an_argument_are_read_by_number() {
+    let (_process, mut client) = World::new().start();
+    client
+        .call(|batch| {
+            batch.set(Domain::BUS_STOP, 0x7e, "stop", |w| {
+                w.u8(0x0f).i32(2).string("key").string("value");
+            });
+        })
+        .unwrap();
+    let answer = client.call(|batch| {
+        batch.get_with(Domain::BUS_STOP, 0x7e, "stop", |w| {
+            w.string("key");
+        });
+    });
+    assert_eq!(answer.unwrap(), Some(Value::String("value".to_owned())));
 }
 
 /// A SUMO process that is killed when this value is dropped.
