@@ -125,7 +125,8 @@ impl Group {
             }
             curves.push(curve);
         }
-        let name = match curves.len() {
+        // Each group has one name, also in panels of metrics that some of its runs lack.
+        let name = match self.runs.len() {
             0 | 1 => self.label.clone(),
             seeds => format!("{} ({seeds} seeds)", self.label),
         };
@@ -150,13 +151,13 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
         }
         let (label, mut settings, seed) = identity(run);
         // Two runs of one seed, such as those of two versions of the program, are no sample of seeds.
-        if known.iter().any(|one| one.0 == settings && one.1 == seed) {
+        if known.iter().any(|one| is_same(&one.0, &settings) && one.1 == seed) {
             settings.insert("folder".to_owned(), run.display().to_string().into());
         }
         known.push((settings.clone(), seed, run));
         let lines = read(run, along)?;
         let read = Run { is_over: is_over(&settings, &lines), lines };
-        match groups.iter_mut().find(|group| group.settings == settings) {
+        match groups.iter_mut().find(|group| is_same(&group.settings, &settings)) {
             Some(group) => group.runs.push(read),
             None => groups.push(Group { label, settings, folder: run.clone(), runs: vec![read] }),
         }
@@ -169,6 +170,13 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
         }
     }
     Ok(groups)
+}
+
+/// Returns whether two runs have the same settings. A setting that the run of an earlier version lacks
+/// counts as its default.
+fn is_same(a: &toml::Table, b: &toml::Table) -> bool {
+    let [a, b] = [a, b].map(|settings| settings.to_string());
+    config::changes(&a, &b).is_empty() || config::changes(&b, &a).is_empty()
 }
 
 /// Returns whether a run has taken all its steps or has solved its task, by its settings.
@@ -316,6 +324,13 @@ mod tests {
             "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"b/cross.xml\"",
         );
         assert_eq!(first, second);
+        assert!(is_same(&first, &second));
+        // A setting that an earlier version did not have is the same as its default.
+        let (_, newer, _) = run(
+            6,
+            "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"b/cross.xml\"\n[scenario.reward]\ntime = 0.0",
+        );
+        assert!(is_same(&first, &newer) && is_same(&newer, &first));
         let (_, task, _) = run(
             2,
             "algorithm = \"mappo\"\nseed = 1\ninit_from = \"x/m/seed_1\"\n[scenario]\nfile = \"a/slow.xml\"",

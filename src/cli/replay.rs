@@ -26,6 +26,26 @@ pub(super) struct Args {
     at: Option<usize>,
 }
 
+/// Words of which each file that this command writes has one: a player, or a picture.
+const MARKS: [&str; 2] =
+    ["<script id=\"recording\"", "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox"];
+
+/// Refuses to replace a file that this command has not written.
+fn refuse_foreign(path: &Path) -> anyhow::Result<()> {
+    if !path.exists() {
+        return Ok(());
+    }
+    let content = std::fs::read_to_string(path).unwrap_or_default();
+    let is_own = MARKS.iter().any(|mark| content.contains(mark));
+    if !is_own {
+        bail!(
+            "`{}` already exists and is neither a player nor a picture of a recording; choose another file",
+            path.display()
+        );
+    }
+    Ok(())
+}
+
 pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let recording = Recording::load(&args.recording)?;
     let outputs: Vec<&Path> = [&args.out, &args.svg].into_iter().flatten().map(|p| &**p).collect();
@@ -40,6 +60,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     }
     if let Some(at) = args.at.filter(|&at| at >= recording.steps) {
         bail!("--at {at}: there is no such step; allowed: 0 to {}", recording.steps - 1);
+    }
+    for path in outputs {
+        refuse_foreign(path)?;
     }
     if let Some(path) = &args.out {
         write_atomic(path, recording.player().as_bytes())?;

@@ -23,6 +23,34 @@ const PALETTE: [RGBColor; 11] = [
     RGBColor(51, 34, 136),
     RGBColor(136, 136, 136),
 ];
+
+/// Returns the colour of the series with this number: after the whole palette, its colours come again
+/// half as strong.
+fn color(number: usize) -> RGBColor {
+    let RGBColor(r, g, b) = PALETTE[number % PALETTE.len()];
+    if number / PALETTE.len() % 2 == 0 {
+        return RGBColor(r, g, b);
+    }
+    let pale = |part: u8| part / 2 + 128;
+    RGBColor(pale(r), pale(g), pale(b))
+}
+
+/// Returns a text that is no wider than `room` pixels: the middle of a longer one is left out, because
+/// names of cells differ at their ends.
+fn fitted<B: PlotBackend>(canvas: &Canvas<B>, text: &str, room: i32) -> String {
+    let letters: Vec<char> = text.chars().collect();
+    let shortened = |kept: usize| {
+        let (first, last) = (kept.div_ceil(2), kept / 2);
+        let ends = letters[..first].iter().chain(&['…']).chain(&letters[letters.len() - last..]);
+        ends.collect::<String>()
+    };
+    if text_width(canvas, text, TEXT) <= room {
+        return text.to_owned();
+    }
+    let fits = |kept: &usize| text_width(canvas, &shortened(*kept), TEXT) <= room;
+    shortened((0..letters.len()).rev().find(fits).unwrap_or(0))
+}
+
 /// The labels of a figure with their colours and marks.
 pub(super) struct Legend {
     entries: Vec<Entry>,
@@ -53,7 +81,7 @@ impl Legend {
             entries.push(Entry {
                 label: first.label.clone(),
                 text: format!("{}{}", first.label, if empty { " (no data)" } else { "" }),
-                color: PALETTE[solid % PALETTE.len()],
+                color: color(solid),
                 dashed,
                 scattered: same.iter().any(|series| series.points.len() > 1)
                     && same.iter().all(|series| points(series).iter().all(|run| run.len() == 1)),
@@ -95,22 +123,24 @@ impl Legend {
         const ROW: i32 = px(TEXT + 9);
         let (width, height) = canvas.dim_in_pixel();
         let (width, height) = (width as i32, height as i32);
-        let mut rows: Vec<(i32, Vec<(&Entry, i32)>)> = Vec::new();
+        let most = width - px(20);
+        let mut rows: Vec<(i32, Vec<(&Entry, String, i32)>)> = Vec::new();
         for entry in self.entries.iter().filter(|entry| !entry.label.is_empty()) {
-            let length = SWATCH + BESIDE + text_width(canvas, &entry.text, TEXT);
+            let text = fitted(canvas, &entry.text, most - SWATCH - BESIDE);
+            let length = SWATCH + BESIDE + text_width(canvas, &text, TEXT);
             match rows.last_mut() {
-                Some((used, row)) if *used + BETWEEN + length <= width - px(20) => {
+                Some((used, row)) if *used + BETWEEN + length <= most => {
                     *used += BETWEEN + length;
-                    row.push((entry, length));
+                    row.push((entry, text, length));
                 }
-                _ => rows.push((length, vec![(entry, length)])),
+                _ => rows.push((length, vec![(entry, text, length)])),
             }
         }
         let top = height - px(10) - ROW * rows.len() as i32;
         for (number, (used, row)) in (0..).zip(&rows) {
             let mut x = (width - used) / 2;
             let y = top + ROW * number + ROW / 2;
-            for (entry, length) in row {
+            for (entry, text, length) in row {
                 let ends = [(x, y), (x + SWATCH, y)];
                 if entry.scattered {
                     let middle = (x + SWATCH / 2, y);
@@ -125,7 +155,7 @@ impl Legend {
                     line(canvas, ends[0], ends[1], px(3), entry.color)?;
                 }
                 let beside = (x + SWATCH + BESIDE, y);
-                write(canvas, &entry.text, TEXT, INK, Placement::RightOf, beside)?;
+                write(canvas, text, TEXT, INK, Placement::RightOf, beside)?;
                 x += length + BETWEEN;
             }
         }

@@ -173,6 +173,10 @@ impl Recording {
             && !(recording.lanes.is_empty() && recording.zones.is_empty())
             && recording.zones.iter().all(|zone| zone.shape.len() > 2)
             && recording.lanes.iter().all(|lane| lane.shape.len() > 1);
+        let lengths = [recording.step_length, recording.vehicle.length, recording.vehicle.width];
+        if lengths.iter().any(|length| *length <= 0.0) {
+            return Err(damaged("a step or a vehicle has no length".to_owned()));
+        }
         if rows == 0 || !whole {
             return Err(damaged(
                 "its columns do not have a number per step and agent, or it has neither lanes nor areas"
@@ -383,6 +387,8 @@ mod tests {
             ("{", "["),
             ("\"agents\":2", "\"agents\":0"),
             ("\"ry\"", "\"r\""),
+            ("\"step_length\":0.1", "\"step_length\":0.0"),
+            ("\"length\":4.5", "\"length\":0.0"),
         ] {
             std::fs::write(&path, text.replacen(from, to, 1)).unwrap();
             let error = Recording::load(&path).unwrap_err();

@@ -70,7 +70,7 @@ impl Recording {
                 let color = if internal { "#e4e6e8" } else { "#d2d6da" };
                 let _ = writeln!(
                     svg,
-                    "<path d=\"{}\" stroke=\"{color}\" stroke-width=\"{:.2}\"/>",
+                    "<path d=\"{}\" stroke=\"{color}\" stroke-linecap=\"butt\" stroke-linejoin=\"round\" stroke-width=\"{:.2}\"/>",
                     path(&lane.shape),
                     lane.width
                 );
@@ -120,12 +120,18 @@ impl Recording {
                 0.8 * unit
             )
         };
-        for (i, j) in self.links(step) {
-            let [a, b] = [i, j].map(|k| vehicles[k].1);
+        let links = self.links(step);
+        for &(i, j) in &links {
+            let mutual = links.contains(&(j, i));
+            if mutual && j < i {
+                continue;
+            }
+            let [to, from] = [i, j].map(|k| vehicles[k].1);
+            let head = if mutual { String::new() } else { arrowhead(to, from, unit) };
             let _ = writeln!(
                 svg,
-                "<path d=\"M{:.2} {:.2}L{:.2} {:.2}\" {link}/>",
-                a[0], a[1], b[0], b[1]
+                "<path d=\"M{:.2} {:.2}L{:.2} {:.2}{head}\" {link}/>",
+                to[0], to[1], from[0], from[1]
             );
         }
         let (people, others): (Vec<&[f64; 6]>, Vec<&[f64; 6]>) =
@@ -183,6 +189,21 @@ impl Recording {
     }
 }
 
+/// Returns the path of an arrowhead before the vehicle at `to`, on a line from `from`; empty if they
+/// are too close.
+fn arrowhead(to: [f64; 3], from: [f64; 3], unit: f64) -> String {
+    let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
+    let (length, gap) = (dx.hypot(dy), 3.2 * unit);
+    if length.is_nan() || length < gap + 2.0 * unit {
+        return String::new();
+    }
+    let [ux, uy] = [unit * dx / length, unit * dy / length];
+    let [x, y] = [to[0] - 3.2 * ux, to[1] - 3.2 * uy];
+    let wing = |side: f64| [x - 1.8 * ux + side * uy, y - 1.8 * uy - side * ux];
+    let [a, b] = [wing(1.0), wing(-1.0)];
+    format!("M{:.2} {:.2}L{x:.2} {y:.2}L{:.2} {:.2}", a[0], a[1], b[0], b[1])
+}
+
 fn cross(length: f64, width: f64, unit: f64) -> String {
     let (l, w) = (length / 2.0, width / 2.0);
     format!(
@@ -193,6 +214,9 @@ fn cross(length: f64, width: f64, unit: f64) -> String {
 
 #[cfg(test)]
 mod tests {
+    use base64::Engine as _;
+    use base64::engine::general_purpose::STANDARD;
+
     use super::super::tests::recording;
 
     /// Agents from route files have the sizes of their types.
@@ -221,6 +245,13 @@ mod tests {
         assert_eq!(svg.matches("Z\" fill=\"#b9a78f\"").count(), 1, "a wall");
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
         assert_eq!(svg.matches("stroke-opacity=\".3\"").count(), 1, "where the first agent was");
+        // At step 0 only the first agent hears the other one, which is 399 m to the east.
+        let still = recording().still(0);
+        let link = "M1.00 0.00L400.00 0.00M";
+        assert!(still.contains(link), "the arrowhead follows the line: {still}");
+        let mut recording = recording();
+        recording.edges = Some(STANDARD.encode([0b10, 0b01, 0, 0]));
+        assert!(recording.still(0).contains("M1.00 0.00L400.00 0.00\""), "both hear each other");
         roxmltree::Document::parse(&svg).expect("well-formed");
     }
 }

@@ -68,6 +68,11 @@ fn a_recorded_episode_plays_in_a_browser() {
         assert!(said.contains(message), "{said}");
     }
     assert_eq!(std::fs::read(&recording).expect("written"), before);
+    // Earlier players are replaced, other files are not.
+    succeeds(&mut iwol(&["replay", &recording, "-o", &html]));
+    std::fs::write(&html, "<html>a page of somebody</html>").expect("written");
+    let said = failure(&mut iwol(&["replay", &recording, "-o", &html]));
+    assert!(said.contains("is neither a player nor a picture"), "{said}");
 }
 
 /// An evaluation lists the episodes in which not every agent succeeded, and a recording of one of them

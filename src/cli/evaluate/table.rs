@@ -120,11 +120,11 @@ pub(super) fn table(rows: &[EvaluationResult]) -> String {
         }
     }
     let driving = || rows.iter().filter_map(|row| Some((row, row.metrics.driving.as_ref()?)));
-    for (row, metrics) in driving() {
+    for row in rows {
         if let Some(episodes) = failed_episodes(row) {
             let _ = writeln!(text, "failures of {}: {episodes}", row.policy);
         }
-        for line in metrics.failures.describe() {
+        for line in row.metrics.driving.iter().flat_map(|metrics| metrics.failures.describe()) {
             let _ = writeln!(text, "failures of {}: {line}", row.policy);
         }
     }

@@ -41,6 +41,8 @@ pub(super) struct RightOfWay {
     pub(super) priorities: Vec<u32>,
     /// Scratch: pairs of slots of which the first vehicle blocks the second.
     blocked: Vec<(usize, usize)>,
+    /// Whether each agent is close behind a vehicle that waits by its own rules.
+    kept_back: Vec<bool>,
 }
 
 impl RightOfWay {
@@ -53,6 +55,7 @@ impl RightOfWay {
             observed,
             priorities: Vec::with_capacity(slots),
             blocked: Vec::with_capacity(slots),
+            kept_back: Vec::with_capacity(slots),
         }
     }
 
@@ -69,7 +72,8 @@ impl RightOfWay {
         intentions: Option<&Intentions>,
     ) {
         if let Some(near) = self.near {
-            assign(traffic, &map.routes, intentions, near);
+            keep_back(traffic, &map.routes, &mut self.kept_back);
+            assign(traffic, &map.routes, intentions, near, &self.kept_back);
         }
         if self.observed {
             let knowledge = Knowledge::public(map, traffic, intentions);
@@ -204,19 +208,38 @@ fn is_held(routes: &[RouteGeometry], slot: &Slot) -> bool {
 /// its own rules, perhaps not before an agent has passed: an agent that waited for it could wait for
 /// ever.
 fn waits_by_own_rules(routes: &[RouteGeometry], slot: &Slot) -> bool {
-    slot.speed < STANDING && routes[slot.route].to_first_conflict(slot.s) > 0.0
+    slot.status == Status::Active
+        && slot.speed < STANDING
+        && routes[slot.route].to_first_conflict(slot.s) > 0.0
+}
+
+/// Writes for each agent whether it is close behind a vehicle of background traffic that waits by its
+/// own rules. Others must not wait for such an agent, which cannot go.
+pub(crate) fn keep_back(traffic: &Traffic, routes: &[RouteGeometry], kept_back: &mut Vec<bool>) {
+    let slots = &traffic.slots;
+    let waits = |i: &usize| waits_by_own_rules(routes, &slots[*i]);
+    let is_kept_back = |j: usize| {
+        let close = |i: usize| {
+            let [ahead, own] = [i, j].map(|k| Candidate::of(&slots[k]));
+            traffic.distance(i, j) < FAR && is_behind(routes, &ahead, &own)
+        };
+        slots[j].status == Status::Active && (traffic.agents..slots.len()).filter(waits).any(close)
+    };
+    kept_back.clear();
+    kept_back.extend((0..traffic.agents).map(is_kept_back));
 }
 
 /// Assigns priority to the vehicles that have come within `near` metres of their first conflict
 /// point, the closest vehicle first. If a vehicle's route is hidden, its distance is the one to the
 /// first conflict point on any route that it could still take. A vehicle before a red signal has
 /// no priority until the signal lets it pass, and a vehicle of background traffic none while it
-/// stands before its conflicts.
+/// stands before its conflicts. Agents for which `kept_back` is true have none either.
 pub(crate) fn assign(
     traffic: &mut Traffic,
     routes: &[RouteGeometry],
     intentions: Option<&Intentions>,
     near: f64,
+    kept_back: &[bool],
 ) {
     let to_conflict = |j: usize, slot: &Slot| {
         let hidden = intentions.and_then(|intentions| intentions.to_first_conflict(routes, j));
@@ -224,7 +247,9 @@ pub(crate) fn assign(
     };
     let agents = traffic.agents;
     let has_none = |j: usize, slot: &Slot| {
-        is_held(routes, slot) || j >= agents && waits_by_own_rules(routes, slot)
+        is_held(routes, slot)
+            || kept_back.get(j) == Some(&true)
+            || j >= agents && waits_by_own_rules(routes, slot)
     };
     // A vehicle that has left a group of conflicts gets a new priority at the next one.
     let slots = traffic.slots.iter_mut().enumerate();
@@ -252,7 +277,9 @@ pub(crate) fn assign(
 ///
 /// A vehicle whose present position blocks another inherits the blocked vehicle's priority if that
 /// is earlier than its own; otherwise the two would wait for each other. A vehicle with several
-/// candidate routes is blocked if it is blocked on any of them. `blocked` is scratch.
+/// candidate routes is blocked if it is blocked on any of them. A vehicle of background traffic that
+/// stands before its conflicts inherits nothing, because it waits by its own rules. `blocked` is
+/// scratch.
 pub(crate) fn inherit(
     knowledge: Knowledge<'_>,
     priorities: &mut Vec<u32>,
@@ -274,7 +301,9 @@ pub(crate) fn inherit(
             && knowledge.closest(course, j, DRIVING, BLOCKED)[0] > IN_THE_WAY
     };
     blocked.clear();
-    for i in (0..slots.len()).filter(|&i| drives(i)) {
+    let inherits =
+        |i: usize| drives(i) && (i < traffic.agents || !waits_by_own_rules(routes, &slots[i]));
+    for i in (0..slots.len()).filter(|&i| inherits(i)) {
         let near = |&j: &usize| {
             j != i && drives(j) && traffic.distance(i, j) < FAR && stands_in_the_way(i, j)
         };

@@ -90,7 +90,7 @@ mod tests {
     use super::*;
     use crate::env::driving::agents::Candidate;
     use crate::env::driving::geometry::{Pose, separation};
-    use crate::env::driving::right_of_way::{assign, is_behind};
+    use crate::env::driving::right_of_way::{assign, is_behind, keep_back};
     use crate::env::driving::tests::scenario;
 
     fn task() -> Task {
@@ -141,13 +141,13 @@ mod tests {
             ("north_straight", 30.0),
         ];
         let mut traffic = traffic(&task, &at);
-        assign(&mut traffic, &task.map.routes, None, 20.0);
+        assign(&mut traffic, &task.map.routes, None, 20.0, &[]);
         let priorities =
             |traffic: &Traffic| traffic.slots.iter().map(|slot| slot.priority).collect::<Vec<_>>();
         assert_eq!(priorities(&traffic), [0, 1, 2, 0]);
         // A vehicle that comes later has a later priority, however close it gets.
         traffic.slots[0].s += 24.0;
-        assign(&mut traffic, &task.map.routes, None, 20.0);
+        assign(&mut traffic, &task.map.routes, None, 20.0, &[]);
         assert_eq!(priorities(&traffic), [3, 1, 2, 0]);
         traffic.refresh();
         assert_eq!(
@@ -164,7 +164,7 @@ mod tests {
         traffic.agents = 1;
         let priorities = |traffic: &mut Traffic, speed: f64| {
             traffic.slots[1].speed = speed;
-            assign(traffic, &task.map.routes, None, 20.0);
+            assign(traffic, &task.map.routes, None, 20.0, &[]);
             [traffic.slots[0].priority, traffic.slots[1].priority]
         };
         assert_eq!(priorities(&mut traffic, 5.0), [2, 1], "it was there first");
@@ -178,6 +178,32 @@ mod tests {
         traffic.agents = 2;
         traffic.slots[1] = Slot { priority: 1, ..at(&task, route, traffic.slots[1].s - 7.0) };
         assert_eq!(priorities(&mut traffic, 0.0), [2, 1]);
+    }
+
+    /// Agent 1 is behind background vehicle 2, which stands before the crossing: neither has priority,
+    /// so that agent 0 does not wait for them.
+    #[test]
+    fn nobody_waits_for_an_agent_behind_traffic_that_waits_by_its_own_rules() {
+        let task = task();
+        let mut traffic = traffic(
+            &task,
+            &[("west_straight", 15.0), ("south_straight", 12.0), ("south_straight", 3.0)],
+        );
+        traffic.agents = 2;
+        let priorities = |traffic: &mut Traffic, speed: f64| {
+            traffic.slots[2].speed = speed;
+            let (routes, mut kept_back) = (&task.map.routes, Vec::new());
+            keep_back(traffic, routes, &mut kept_back);
+            assign(traffic, routes, None, 20.0, &kept_back);
+            traffic.slots.iter().map(|slot| slot.priority).collect::<Vec<_>>()
+        };
+        assert_eq!(priorities(&mut traffic, 5.0), [3, 2, 1], "in the order of their distances");
+        assert_eq!(priorities(&mut traffic, 0.0), [3, 0, 0]);
+        assert_eq!(priorities(&mut traffic, 0.2), [3, 5, 4], "once it drives");
+        // Where it blocks the agent, it does not inherit the agent's priority.
+        traffic.slots[2].speed = 0.0;
+        traffic.slots[1].priority = 1;
+        assert_eq!(inherited(&task, &traffic)[2], 3, "its own one");
     }
 
     #[test]
@@ -214,7 +240,7 @@ mod tests {
         let say = |traffic: &mut Traffic, speed: f64, distance: f64, aspect: Aspect| {
             traffic.slots[1].speed = speed;
             traffic.slots[1].next_signal = Some(NextSignal { distance, aspect, to_change: None });
-            assign(traffic, &task.map.routes, None, 20.0);
+            assign(traffic, &task.map.routes, None, 20.0, &[]);
             (traffic.slots[1].priority, giving_way(&task, traffic)[1])
         };
         assert_eq!(say(&mut traffic, 0.0, 0.5, Aspect::Red), (0, true));

@@ -128,7 +128,7 @@ fn observe(task: &Task, traffic: &Traffic) -> Vec<Vec<f32>> {
         intentions.update(&task.map, &traffic, true);
     }
     let near = task.scenario.observation.priority_distance;
-    assign(&mut traffic, &task.map.routes, intentions.as_ref(), near);
+    assign(&mut traffic, &task.map.routes, intentions.as_ref(), near, &[]);
     let knowledge = Knowledge::public(&task.map, &traffic, intentions.as_ref());
     let (mut priorities, mut seen) =
         (Vec::new(), vec![vec![0.0; task.spec.observation.len()]; traffic.slots.len()]);
@@ -444,7 +444,7 @@ fn tracking_hidden_routes_allocates_no_memory() {
         let mut step = || {
             traffic.refresh();
             intentions.update(&task.map, &traffic, true);
-            assign(&mut traffic, &task.map.routes, Some(&intentions), 20.0);
+            assign(&mut traffic, &task.map.routes, Some(&intentions), 20.0, &[]);
             let knowledge = Knowledge::public(&task.map, &traffic, Some(&intentions));
             inherit(knowledge, &mut priorities, &mut blocked);
             for i in 0..VEHICLES {
