@@ -1,8 +1,9 @@
 //! Profiles: sizes of rollouts and updates with which a kind of machine is busy.
 //!
-//! More cores get more parts of the same minibatch. A larger minibatch needs more environment steps
-//! (four times as large, 1.7 to 3.4 times as many: docs/lab/speed.md), and only a GPU may make up for
-//! that.
+//! More cores get more parts of the same minibatch. Larger minibatches do not pay on CPUs, whose time is
+//! that of the arithmetic, and 16 times as large ones do not learn with these schedules
+//! (docs/lab/speed.md#larger-minibatches); a GPU gets four times as large ones, because it waits for
+//! the start of each operation otherwise.
 
 use super::Config;
 use crate::algo::ComputeDevice;
