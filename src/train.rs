@@ -201,7 +201,9 @@ impl Trainer {
     /// Plays a rollout, then learns from it.
     fn iterate_in_turn(&mut self, stops: Stops<'_>) -> Result<Losses, Error> {
         let seed = self.iteration_seed(0);
+        self.activity.begin(Stage::Rollout);
         self.collect(seed.child("noise"), stops)?;
+        self.activity.begin(Stage::Update);
         let before = self.progress.clone();
         let parameters = self.advance();
         let learner = &mut self.learner;
@@ -326,12 +328,8 @@ impl Trainer {
         )?;
         let (team, activity) = (self.team.clone(), self.activity());
         let is_stopped = || stop.load(Ordering::Relaxed);
-        // Beside an update, the rollout is not what the training waits for.
-        let in_turn = self.ahead.is_none();
         let rollout = || {
-            if in_turn {
-                activity.count(Stage::Rollout);
-            }
+            activity.count(Stage::Rollout);
             is_stopped()
         };
         let update = || {
@@ -350,7 +348,7 @@ impl Trainer {
             if due && self.progress.validated < self.progress.step {
                 // The checkpoint comes first, so that a failing validation loses no training.
                 self.checkpoint().save(&dir.last())?;
-                activity.count(Stage::Validation);
+                activity.begin(Stage::Validation);
                 let evaluation = self.validate(stop)?;
                 if stop.load(Ordering::Relaxed) {
                     continue;

@@ -113,6 +113,9 @@ impl ProgressView {
     fn describe(&self, present: &Present) -> String {
         let stage = match present.stage {
             Stage::Rollout => format!("rollout: {} steps", present.count * self.worlds),
+            // Before its first gradient step, an update computes values and advantages. MADDPG does
+            // not count its steps.
+            Stage::Update if present.count == 0 => "update".to_owned(),
             Stage::Update => format!("update: gradient step {}", present.count),
             Stage::Validation => "validation".to_owned(),
         };

@@ -145,6 +145,17 @@ pub fn of_this_process() -> Result<Arc<dyn Ranks>, Error> {
     }
 }
 
+/// Returns the environment variables by which MPI's launcher tells a process that it is one of
+/// several. A process that starts others for work of their own has to take these from them.
+pub fn launcher_variables() -> impl Iterator<Item = std::ffi::OsString> {
+    let all = std::env::vars_os().map(|(name, _)| name);
+    all.filter(|name| name.to_str().is_some_and(is_of_launcher))
+}
+
+fn is_of_launcher(name: &str) -> bool {
+    ["OMPI_", "PMI_", "PMIX_"].iter().any(|start| name.starts_with(start))
+}
+
 /// Returns the number of processes that MPI's launcher started, by the variables that Open MPI, PMI
 /// and Slurm with PMIx set.
 fn processes() -> usize {
@@ -154,4 +165,18 @@ fn processes() -> usize {
         number("SLURM_STEP_NUM_TASKS")
     };
     number("OMPI_COMM_WORLD_SIZE").or_else(|| number("PMI_SIZE")).or_else(slurm).unwrap_or(1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Cells of a sweep under `mpirun` are runs of their own.
+    #[test]
+    fn variables_of_launchers_are_known() {
+        for name in ["OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK"] {
+            assert!(is_of_launcher(name), "{name}");
+        }
+        assert!(!["PATH", "OMP_NUM_THREADS", "SUMO_HOME"].iter().any(|name| is_of_launcher(name)));
+    }
 }

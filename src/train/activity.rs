@@ -57,12 +57,18 @@ impl Activity {
         *self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Counts one more unit of a stage, which begins with the first one.
+    /// Begins a stage.
+    pub(super) fn begin(&self, stage: Stage) {
+        let present = Present { stage, count: 0, begin: Instant::now() };
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner) = Some(present);
+    }
+
+    /// Counts one more unit of a stage, if it is the present one. Of a rollout beside an update
+    /// nothing is counted.
     pub(super) fn count(&self, stage: Stage) {
         let mut present = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        match &mut *present {
-            Some(present) if present.stage == stage => present.count += 1,
-            other => *other = Some(Present { stage, count: 1, begin: Instant::now() }),
+        if let Some(present) = present.as_mut().filter(|present| present.stage == stage) {
+            present.count += 1;
         }
     }
 }

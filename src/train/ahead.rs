@@ -2,7 +2,7 @@
 //! one is played with the policy from before the update.
 
 use super::collect::Exploring;
-use super::{Error, Mark, Stops, Trainer, timed};
+use super::{Error, Mark, Stage, Stops, Trainer, timed};
 use crate::algo::{self, Algorithm, Losses};
 use crate::checkpoint::{Checkpoint, Player};
 use crate::env::EpisodeRecord;
@@ -76,6 +76,7 @@ impl Trainer {
         }
         let seed = self.iteration_seed(0);
         if !ahead.is_played {
+            self.activity.begin(Stage::Rollout);
             let player = Exploring { policy: &*ahead.player, log_std: ahead.log_std };
             let noise = seed.child("noise");
             self.collector.collect(&self.config, player, &mut ahead.rollout, noise, stops)?;
@@ -94,6 +95,7 @@ impl Trainer {
         (ahead.log_std, ahead.mark) = (log_std, self.collector.mark());
         // No update learns from what would be played after the last update.
         let goes_on = self.progress.step < self.config.steps;
+        self.activity.begin(Stage::Update);
         let noise = self.iteration_seed(1).child("noise");
         let (learner, rollout) = (&mut *self.learner, &self.rollout);
         let (updated, played) = std::thread::scope(|scope| {

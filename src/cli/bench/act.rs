@@ -125,13 +125,14 @@ fn measure(name: &str, task: &Task, args: &Act) -> anyhow::Result<Row> {
     let memory = Tensor::zeros([e, n, sizes.memory as i64], (tch::Kind::Float, Device::Cpu));
     let mut input = Observation::at(&rollout, 0, &memory);
     let mut times = Vec::new();
-    for decision in 0..args.decisions + args.decisions / 10 {
+    let warm_up = (args.decisions / 10).max(10);
+    for decision in 0..args.decisions + warm_up {
         let begin = Instant::now();
         let decided = learner.act(&input, &ActMode::Deterministic);
         let took = begin.elapsed().as_secs_f64() * 1e6;
         input.memory = decided.memory;
         // The first decisions warm up caches.
-        if decision >= args.decisions / 10 {
+        if decision >= warm_up {
             times.push(took);
         }
     }

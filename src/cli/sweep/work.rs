@@ -151,6 +151,10 @@ fn start(cell: &Cell, job: &Job) -> anyhow::Result<Child> {
         .args(["--die-with-parent", &std::process::id().to_string()])
         .args(&job.arguments);
     command.env("RUST_BACKTRACE", "0");
+    // A cell is a run of its own, also where MPI's launcher started this sweep.
+    for name in crate::ranks::launcher_variables() {
+        command.env_remove(name);
+    }
     // The child gets its own process group, so that Ctrl-C reaches only this program, which passes
     // one signal on. A second signal would make the child end at once, without a checkpoint.
     command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(log).process_group(0);
