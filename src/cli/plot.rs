@@ -175,7 +175,7 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
 /// Returns whether two runs have the same settings. A setting that the run of an earlier version lacks
 /// counts as its default.
 fn is_same(a: &toml::Table, b: &toml::Table) -> bool {
-    let [a, b] = [a, b].map(|settings| settings.to_string());
+    let [a, b] = [a, b].map(ToString::to_string);
     config::changes(&a, &b).is_empty() || config::changes(&b, &a).is_empty()
 }
 

@@ -28,7 +28,7 @@ const PALETTE: [RGBColor; 11] = [
 /// half as strong.
 fn color(number: usize) -> RGBColor {
     let RGBColor(r, g, b) = PALETTE[number % PALETTE.len()];
-    if number / PALETTE.len() % 2 == 0 {
+    if (number / PALETTE.len()).is_multiple_of(2) {
         return RGBColor(r, g, b);
     }
     let pale = |part: u8| part / 2 + 128;
@@ -121,10 +121,12 @@ impl Legend {
         const BESIDE: i32 = px(9);
         const BETWEEN: i32 = px(34);
         const ROW: i32 = px(TEXT + 9);
+        /// An entry with its text and its width.
+        type Placed<'a> = (&'a Entry, String, i32);
         let (width, height) = canvas.dim_in_pixel();
         let (width, height) = (width as i32, height as i32);
         let most = width - px(20);
-        let mut rows: Vec<(i32, Vec<(&Entry, String, i32)>)> = Vec::new();
+        let mut rows: Vec<(i32, Vec<Placed<'_>>)> = Vec::new();
         for entry in self.entries.iter().filter(|entry| !entry.label.is_empty()) {
             let text = fitted(canvas, &entry.text, most - SWATCH - BESIDE);
             let length = SWATCH + BESIDE + text_width(canvas, &text, TEXT);
