@@ -133,9 +133,9 @@ impl Trainer {
         Self::build(config, environment, Some(checkpoint), &Team::alone())
     }
 
-    /// Starts a run, or continues it from a checkpoint, together with the other processes of a team.
-    /// All of them must call the same functions of their trainers in the same order, and stop by
-    /// [`Team::stop`].
+    /// Starts a run, or continues it from a checkpoint, together with the other processes of a
+    /// team. All of them must call the same functions of their trainers in the same order, and stop
+    /// by [`Team::stop`].
     ///
     /// # Errors
     /// As [`Trainer::new`] and [`Trainer::resume`], and [`Error::TooManyRanks`].
@@ -306,8 +306,8 @@ impl Trainer {
     }
 
     /// Trains until all steps are done, the criterion for early stopping is met or `stop` is set,
-    /// and writes the run's files. When `stop` is set in the middle of an iteration, the iteration is
-    /// given up, the last checkpoint is the state before it, and training goes on from the
+    /// and writes the run's files. When `stop` is set in the middle of an iteration, the iteration
+    /// is given up, the last checkpoint is the state before it, and training goes on from the
     /// checkpoint ([`Trainer::resume`]) rather than with this trainer, whose worlds have gone on.
     ///
     /// # Errors

@@ -69,8 +69,8 @@ enum Verb {
     Train(train::Args),
     /// Evaluate trained and untrained policies without a window.
     Evaluate(evaluate::Args),
-    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept, or write it as
-    /// an ONNX model.
+    /// Copy a policy to a small folder that `evaluate` and `train --init-from` accept, or write it
+    /// as an ONNX model.
     Export(export::Args),
     /// Train and evaluate a grid of settings and seeds.
     Sweep(sweep::Args),
@@ -164,8 +164,8 @@ pub fn main() -> ExitCode {
     }
 }
 
-/// Lets the options of a command and of its subcommands take negative numbers, so that an error says
-/// which values are allowed. Otherwise `-3` counts as an unknown option.
+/// Lets the options of a command and of its subcommands take negative numbers, so that an error
+/// says which values are allowed. Otherwise `-3` counts as an unknown option.
 fn with_negative_numbers(command: clap::Command) -> clap::Command {
     let takes = |arg: clap::Arg| {
         let takes_value = arg.get_action().takes_values();
@@ -174,8 +174,8 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
     command.mut_args(takes).mut_subcommands(with_negative_numbers)
 }
 
-/// Returns the path that an argument of the command line was most likely meant to be, if the error is
-/// that a file does not exist.
+/// Returns the path that an argument of the command line was most likely meant to be, if the error
+/// is that a file does not exist.
 fn hint_of_path(error: &anyhow::Error) -> Option<String> {
     let missing = |e: &std::io::Error| e.kind() == std::io::ErrorKind::NotFound;
     error.chain().find(|cause| cause.downcast_ref().is_some_and(missing))?;
@@ -276,7 +276,8 @@ fn program() -> String {
     path.file_name().map_or_else(|| "iwol".to_owned(), |name| name.to_string_lossy().into_owned())
 }
 
-/// Returns a path as a word for a shell: in quotes, if it contains characters that shells interpret.
+/// Returns a path as a word for a shell: in quotes, if it contains characters that shells
+/// interpret.
 fn word(path: &std::path::Path) -> String {
     let text = path.to_string_lossy();
     let plain = |c: char| c.is_alphanumeric() || "/._-+=,:@%".contains(c);

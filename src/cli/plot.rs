@@ -150,7 +150,8 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
             continue;
         }
         let (label, mut settings, seed) = identity(run);
-        // Two runs of one seed, such as those of two versions of the program, are no sample of seeds.
+        // Two runs of one seed, such as those of two versions of the program, are no sample of
+        // seeds.
         if known.iter().any(|one| is_same(&one.0, &settings) && one.1 == seed) {
             settings.insert("folder".to_owned(), run.display().to_string().into());
         }
@@ -172,8 +173,8 @@ fn groups(runs: &[PathBuf], along: Along) -> anyhow::Result<Vec<Group>> {
     Ok(groups)
 }
 
-/// Returns whether two runs have the same settings. A setting that the run of an earlier version lacks
-/// counts as its default.
+/// Returns whether two runs have the same settings. A setting that the run of an earlier version
+/// lacks counts as its default.
 fn is_same(a: &toml::Table, b: &toml::Table) -> bool {
     let [a, b] = [a, b].map(ToString::to_string);
     config::changes(&a, &b).is_empty() || config::changes(&b, &a).is_empty()
@@ -280,8 +281,8 @@ fn references(path: &Path) -> anyhow::Result<Vec<(&Path, EvaluationResult)>> {
     Ok(untrained)
 }
 
-/// Says which run a result cannot be compared with, because it is of another task; `None` if there is
-/// no such run.
+/// Says which run a result cannot be compared with, because it is of another task; `None` if there
+/// is no such run.
 fn other_task(groups: &[Group], path: &Path, result: &EvaluationResult) -> Option<String> {
     let is_other = |group: &&Group| {
         let agents = group.settings.get("agents").and_then(toml::Value::as_integer);

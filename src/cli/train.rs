@@ -24,8 +24,9 @@ use super::config::SettingsArgs;
 use super::progress::ProgressView;
 use super::{Verdict, program, word};
 
-/// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other flags.
-/// The resolved settings are stored in the run folder; `iwol config` prints them without training.
+/// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other
+/// flags. The resolved settings are stored in the run folder; `iwol config` prints them without
+/// training.
 #[derive(Debug, clap::Args)]
 pub(super) struct Args {
     #[command(flatten)]
@@ -202,8 +203,8 @@ fn check_folder(
     }
 }
 
-/// Returns the trainer of a new run, or of the run in the folder with the settings that have changed
-/// since its checkpoint.
+/// Returns the trainer of a new run, or of the run in the folder with the settings that have
+/// changed since its checkpoint.
 fn trainer_of(
     args: &Args,
     dir: &RunDir,

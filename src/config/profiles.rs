@@ -1,9 +1,9 @@
 //! Profiles: sizes of rollouts and updates with which a kind of machine is busy.
 //!
-//! More cores get more parts of the same minibatch. Larger minibatches do not pay on CPUs, whose time is
-//! that of the arithmetic, and 16 times as large ones do not learn with these schedules
-//! (docs/lab/speed.md#larger-minibatches); a GPU gets four times as large ones, because it waits for
-//! the start of each operation otherwise.
+//! More cores get more parts of the same minibatch. Larger minibatches do not pay on CPUs, whose
+//! time is that of the arithmetic, and 16 times as large ones do not learn with these schedules
+//! (docs/lab/speed.md#larger-minibatches); a GPU gets four times as large ones, because it waits
+//! for the start of each operation otherwise.
 
 use super::Config;
 use crate::algo::ComputeDevice;
@@ -17,8 +17,8 @@ pub struct Profile {
     pub name: &'static str,
     /// The machines for which it is meant.
     pub machines: &'static str,
-    /// Factor of the number of worlds and of the samples per minibatch. Rollouts hold as many steps,
-    /// and the learning rate grows with the factor's square root.
+    /// Factor of the number of worlds and of the samples per minibatch. Rollouts hold as many
+    /// steps, and the learning rate grows with the factor's square root.
     scale: u32,
     /// Number of parts of a minibatch, and at most of a step's decisions, that are processed at the
     /// same time.
@@ -28,8 +28,8 @@ pub struct Profile {
 
 /// Number of cores from which a machine counts as a workstation.
 const WORKSTATION_CORES: usize = 8;
-/// Least number of samples per shard unless the number of shards is given. A guess: what smaller parts
-/// cost has not been measured.
+/// Least number of samples per shard unless the number of shards is given. A guess: what smaller
+/// parts cost has not been measured.
 const LEAST_SHARD: usize = 256;
 
 /// All profiles. The first one has the declared defaults.

@@ -24,8 +24,8 @@ const PALETTE: [RGBColor; 11] = [
     RGBColor(136, 136, 136),
 ];
 
-/// Returns the colour of the series with this number: after the whole palette, its colours come again
-/// half as strong.
+/// Returns the colour of the series with this number: after the whole palette, its colours come
+/// again half as strong.
 fn color(number: usize) -> RGBColor {
     let RGBColor(r, g, b) = PALETTE[number % PALETTE.len()];
     if (number / PALETTE.len()).is_multiple_of(2) {
@@ -35,8 +35,8 @@ fn color(number: usize) -> RGBColor {
     RGBColor(pale(r), pale(g), pale(b))
 }
 
-/// Returns a text that is no wider than `room` pixels: the middle of a longer one is left out, because
-/// names of cells differ at their ends.
+/// Returns a text that is no wider than `room` pixels: the middle of a longer one is left out,
+/// because names of cells differ at their ends.
 fn fitted<B: PlotBackend>(canvas: &Canvas<B>, text: &str, room: i32) -> String {
     let letters: Vec<char> = text.chars().collect();
     let shortened = |kept: usize| {

@@ -3,8 +3,8 @@
 //! Every rank has all weights and sees the same rollouts. Each rank simulates some of the worlds
 //! (`divided`), chooses actions for some of them where a step has many decisions, and computes the
 //! gradients of some shards. It sends its results to all others. Sums are formed in the order of
-//! worlds and shards, so that the result depends on the settings alone: it is the same to the bit as
-//! that of one process.
+//! worlds and shards, so that the result depends on the settings alone: it is the same to the bit
+//! as that of one process.
 
 #![cfg(feature = "learn")]
 

@@ -236,8 +236,8 @@ impl Recording {
         (0..self.agents).map(vehicle).collect()
     }
 
-    /// Returns where the agents have been until a step: for each vehicle, its consecutive positions.
-    /// A vehicle that takes over the slot of another has a list of its own.
+    /// Returns where the agents have been until a step: for each vehicle, its consecutive
+    /// positions. A vehicle that takes over the slot of another has a list of its own.
     fn tracks(&self, step: usize) -> Vec<Vec<[f64; 2]>> {
         let status = STANDARD.decode(&self.status).unwrap_or_default();
         let column = |key: &str| self.columns.get(key).and_then(Column::values).unwrap_or_default();

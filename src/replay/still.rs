@@ -189,8 +189,8 @@ impl Recording {
     }
 }
 
-/// Returns the path of an arrowhead before the vehicle at `to`, on a line from `from`; empty if they
-/// are too close.
+/// Returns the path of an arrowhead before the vehicle at `to`, on a line from `from`; empty if
+/// they are too close.
 fn arrowhead(to: [f64; 3], from: [f64; 3], unit: f64) -> String {
     let [dx, dy] = [to[0] - from[0], to[1] - from[1]];
     let (length, gap) = (dx.hypot(dy), 3.2 * unit);

@@ -275,7 +275,8 @@ impl Client {
     }
 
     /// Closes the connection after telling SUMO so. Without other clients, SUMO then finishes its
-    /// output files and terminates; [`Process::wait`](super::process::Process::wait) waits for that.
+    /// output files and terminates; [`Process::wait`](super::process::Process::wait) waits for
+    /// that.
     ///
     /// # Errors
     /// As [`Client::receive`].
@@ -360,8 +361,8 @@ fn check_timeout(timeout: Duration) -> Result<(), Error> {
     Ok(())
 }
 
-/// Opens a connection to `address`. Retries for up to `wait` while no process listens there, as long
-/// as `check` succeeds.
+/// Opens a connection to `address`. Retries for up to `wait` while no process listens there, as
+/// long as `check` succeeds.
 pub(super) fn open(
     address: SocketAddr,
     wait: Duration,

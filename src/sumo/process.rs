@@ -214,8 +214,8 @@ impl Process {
             // A SUMO that hangs before it accepts the connection does not own its end yet.
             (Err(error @ Error::NotLoaded { .. }), _) => Err(error),
             (_, Ok(false)) => Err(Error::PortTaken { port: self.port }),
-            // A connection that is reset has no other end. A SUMO that runs does not close one before
-            // it has answered, so another program did.
+            // A connection that is reset has no other end. A SUMO that runs does not close one
+            // before it has answered, so another program did.
             (Err(error), _) => Err(match self.explain(error) {
                 Error::Closed { .. } => Error::PortTaken { port: self.port },
                 error => error,
@@ -234,7 +234,7 @@ impl Process {
         client: &mut Client,
         arguments: &[impl AsRef<str>],
     ) -> Result<Version, Error> {
-        client.begin_load(arguments)?;
+        client.begin_load(arguments).map_err(|error| self.explain(error))?;
         let mut loading = Loading::begin(&self.group, self.patience);
         let answer = client.handshake_while(|| self.is_loading(&mut loading));
         answer.map_err(|error| self.explain(error))
@@ -273,8 +273,8 @@ impl Process {
     }
 
     /// Waits until SUMO has ended by itself, as it does after [`Client::close`] once it has written
-    /// its output files; at most as long as `patience`. A SUMO that is killed before leaves incomplete
-    /// files.
+    /// its output files; at most as long as `patience`. A SUMO that is killed before leaves
+    /// incomplete files.
     ///
     /// # Errors
     /// [`Error::Timeout`] if SUMO still runs; [`Error::Exited`] if it ended with a failure.

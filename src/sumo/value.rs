@@ -101,8 +101,8 @@ pub struct Highlight {
     pub color: Color,
     /// Size \[m\]; negative: the length of the object.
     pub size: f64,
-    /// Greatest opacity and duration \[s\] of a circle that fades in and out; `None`: the circle stays,
-    /// which SUMO allows for vehicles only.
+    /// Greatest opacity and duration \[s\] of a circle that fades in and out; `None`: the circle
+    /// stays, which SUMO allows for vehicles only.
     pub fade: Option<(u8, f64)>,
     /// Number of the highlight; a new highlight replaces the one with the same number.
     pub kind: u8,

@@ -1,5 +1,6 @@
-//! What a training tells while it runs: a report on each iteration, and what it is doing at present,
-//! for a display that another thread updates, because an iteration or a validation can take minutes.
+//! What a training tells while it runs: a report on each iteration, and what it is doing at
+//! present, for a display that another thread updates, because an iteration or a validation can
+//! take minutes.
 
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -14,8 +15,8 @@ pub struct Report {
     /// Success rate of the episodes that ended in the last iteration, with exploration noise;
     /// `None` if none ended.
     pub training_success: Option<f64>,
-    /// Success rate of the last validation in this call of [`Trainer::run`](super::Trainer::run); `None` before the
-    /// first.
+    /// Success rate of the last validation in this call of [`Trainer::run`](super::Trainer::run);
+    /// `None` before the first.
     pub validation_success: Option<f64>,
 }
 

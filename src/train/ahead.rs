@@ -1,5 +1,5 @@
-//! Simulation beside learning (`train.overlap`): while the learner learns from one rollout, the next
-//! one is played with the policy from before the update.
+//! Simulation beside learning (`train.overlap`): while the learner learns from one rollout, the
+//! next one is played with the policy from before the update.
 
 use super::collect::Exploring;
 use super::{Error, Mark, Stage, Stops, Trainer, timed};

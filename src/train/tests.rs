@@ -51,7 +51,8 @@ fn content(checkpoint: &Checkpoint) -> Content {
     (weights, format!("{:?} {:?}", checkpoint.worlds, checkpoint.memory))
 }
 
-/// Trains in `size` threads, and returns what each has at the end, and the validations of the first.
+/// Trains in `size` threads, and returns what each has at the end, and the validations of the
+/// first.
 fn trained(size: usize, method: &str, more: &[&str]) -> (Vec<Content>, Vec<String>) {
     let found = Mutex::new(vec![None; size]);
     let lines = Mutex::new(Vec::new());

@@ -32,8 +32,8 @@ const FAR: f64 = 30.0;
 /// The right of way in one world.
 #[derive(Debug, Clone)]
 pub(super) struct RightOfWay {
-    /// Distance to the first conflict point at which vehicles get their priority \[m\]; `None` where
-    /// neither agents nor rules use priorities.
+    /// Distance to the first conflict point at which vehicles get their priority \[m\]; `None`
+    /// where neither agents nor rules use priorities.
     near: Option<f64>,
     /// Whether agents observe the effective priorities.
     observed: bool,
@@ -204,17 +204,17 @@ fn is_held(routes: &[RouteGeometry], slot: &Slot) -> bool {
     })
 }
 
-/// Whether a vehicle of background traffic stands before its next conflict point. SUMO lets it go by
-/// its own rules, perhaps not before an agent has passed: an agent that waited for it could wait for
-/// ever.
+/// Whether a vehicle of background traffic stands before its next conflict point. SUMO lets it go
+/// by its own rules, perhaps not before an agent has passed: an agent that waited for it could wait
+/// for ever.
 fn waits_by_own_rules(routes: &[RouteGeometry], slot: &Slot) -> bool {
     slot.status == Status::Active
         && slot.speed < STANDING
         && routes[slot.route].to_first_conflict(slot.s) > 0.0
 }
 
-/// Writes for each agent whether it is close behind a vehicle of background traffic that waits by its
-/// own rules. Others must not wait for such an agent, which cannot go.
+/// Writes for each agent whether it is close behind a vehicle of background traffic that waits by
+/// its own rules. Others must not wait for such an agent, which cannot go.
 pub(crate) fn keep_back(traffic: &Traffic, routes: &[RouteGeometry], kept_back: &mut Vec<bool>) {
     let slots = &traffic.slots;
     let waits = |i: &usize| waits_by_own_rules(routes, &slots[*i]);
@@ -277,9 +277,9 @@ pub(crate) fn assign(
 ///
 /// A vehicle whose present position blocks another inherits the blocked vehicle's priority if that
 /// is earlier than its own; otherwise the two would wait for each other. A vehicle with several
-/// candidate routes is blocked if it is blocked on any of them. A vehicle of background traffic that
-/// stands before its conflicts inherits nothing, because it waits by its own rules. `blocked` is
-/// scratch.
+/// candidate routes is blocked if it is blocked on any of them. A vehicle of background traffic
+/// that stands before its conflicts inherits nothing, because it waits by its own rules. `blocked`
+/// is scratch.
 pub(crate) fn inherit(
     knowledge: Knowledge<'_>,
     priorities: &mut Vec<u32>,

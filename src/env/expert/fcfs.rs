@@ -51,9 +51,9 @@ pub(super) fn giving_way(task: &Task, traffic: &Traffic) -> Vec<bool> {
     traffic.slots.iter().enumerate().map(gives_way).collect()
 }
 
-/// Returns how far the vehicle of `slot` can drive if the vehicle of slot `j`, which is ahead of it,
-/// brakes with the deceleration `brakes` \[m/s²\] (Gipps, Transportation Research B 1981) \[m\];
-/// infinite if that vehicle is not ahead.
+/// Returns how far the vehicle of `slot` can drive if the vehicle of slot `j`, which is ahead of
+/// it, brakes with the deceleration `brakes` \[m/s²\] (Gipps, Transportation Research B 1981)
+/// \[m\]; infinite if that vehicle is not ahead.
 fn behind_leader(knowledge: Knowledge<'_>, slot: usize, j: usize, brakes: f64) -> f64 {
     let [own, other] = [slot, j].map(|slot| &knowledge.traffic.slots[slot]);
     let route = &knowledge.routes[own.route];
@@ -180,8 +180,8 @@ mod tests {
         assert_eq!(priorities(&mut traffic, 0.0), [2, 1]);
     }
 
-    /// Agent 1 is behind background vehicle 2, which stands before the crossing: neither has priority,
-    /// so that agent 0 does not wait for them.
+    /// Agent 1 is behind background vehicle 2, which stands before the crossing: neither has
+    /// priority, so that agent 0 does not wait for them.
     #[test]
     fn nobody_waits_for_an_agent_behind_traffic_that_waits_by_its_own_rules() {
         let task = task();

@@ -102,8 +102,8 @@ macro_rules! type_attributes {
             /// Sets the preferred lateral position in the lane.
             set_lateral_alignment "setLateralAlignment" 0xb9 (alignment: &str);
             /// Sets the time between two decisions of the driver model \[s\]. With `reset_offset`,
-            /// the next decision is at the next step; without it, the next decision is one new length
-            /// after the last one, or at the next step if that time has passed.
+            /// the next decision is at the next step; without it, the next decision is one new
+            /// length after the last one, or at the next step if that time has passed.
             set_action_step_length "setActionStepLength" 0x7d
                 {length: f64, reset_offset: bool} => if reset_offset { length } else { -length };
         }

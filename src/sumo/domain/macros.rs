@@ -34,8 +34,9 @@ macro_rules! domain {
         impl<S: crate::sumo::domain::Scope> $handle<'_, S> {
             /// Subscribes to variables of the object: SUMO reports them now and after each later
             /// step, in addition to the variables of earlier subscriptions. Call
-            /// [`unsubscribe`](Self::unsubscribe) first to replace those. An empty list unsubscribes. In a batch,
-            /// `Replies::first` has the current values; a client's call drops them.
+            /// [`unsubscribe`](Self::unsubscribe) first to replace those. An empty list
+            /// unsubscribes. In a batch, `Replies::first` has the current values; a client's call
+            /// drops them.
             ///
             /// # Errors
             /// Besides the errors of all calls, `Error::Invalid` for a variable of another domain
@@ -90,8 +91,8 @@ macro_rules! domain {
                 self.subscribe_with(id, VAR_PARAMETER_WITH_KEY, key)
             }
 
-            /// Ends all subscriptions to variables of the object. SUMO refuses this if there are none,
-            /// also because the object has left the simulation.
+            /// Ends all subscriptions to variables of the object. SUMO refuses this if there are
+            /// none, also because the object has left the simulation.
             pub fn unsubscribe(&mut self, id: &str) -> S::Output<()> {
                 self.subscribe(id, &[])
             }

@@ -120,8 +120,8 @@ getters! { Vehicle, "vehicle";
     get_stops "getStops" 0x74 (limit: i32) -> Vec<StopData>;
     /// Distance since departure \[m\].
     get_distance "getDistance" VAR_DISTANCE 0x84 -> f64;
-    /// A parameter of a stop ahead, by the index of the stop; empty if the stop does not have it. SUMO
-    /// refuses names that are none of its attributes of stops.
+    /// A parameter of a stop ahead, by the index of the stop; empty if the stop does not have it.
+    /// SUMO refuses names that are none of its attributes of stops.
     get_stop_parameter "getStopParameter" 0x55 [stop: i32, key: &str] -> String;
     /// Bits of the stop state. 1: stopped, 2: parking, 4 and 8: waits for a person or a container,
     /// 16: at a bus stop, 32: at a container stop, 64: at a charging station, 128: at a parking
@@ -129,9 +129,9 @@ getters! { Vehicle, "vehicle";
     get_stop_state "getStopState" VAR_STOPSTATE 0xb5 -> i32;
     /// State of a lane change to one side.
     get_lane_change_state "getLaneChangeState" 0x13 (side: Side) -> LaneChangeState;
-    /// Routing mode. 0: travel times that were set for this vehicle, else those that were loaded, else
-    /// those of free flow; 1: aggregated travel times; 4: aggregated travel times, with those that
-    /// were set for this vehicle.
+    /// Routing mode. 0: travel times that were set for this vehicle, else those that were loaded,
+    /// else those of free flow; 1: aggregated travel times; 4: aggregated travel times, with those
+    /// that were set for this vehicle.
     get_routing_mode "getRoutingMode" VAR_ROUTING_MODE 0x89 -> i32;
     /// The distance along the route \[m\] to a position, which is given by edge, distance from the
     /// start of the lane \[m\] and lane.
