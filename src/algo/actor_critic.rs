@@ -52,6 +52,18 @@ fn divided(envs: i64, parts: usize) -> Vec<Range<i64>> {
     (0..parts).map(part).map(|part| part.start as i64..part.end as i64).collect()
 }
 
+/// The value function reads at most this many samples (of an agent and a step) at once, or one
+/// world's, so that the memory it takes does not grow with the rollout.
+const MOST_VALUES: i64 = 1 << 16;
+
+/// Divides worlds into ranges whose samples the value function reads at once.
+fn pieces_of(worlds: Range<i64>, samples_per_world: i64) -> impl Iterator<Item = Range<i64>> {
+    let most = (MOST_VALUES / samples_per_world.max(1)).max(1);
+    let count = worlds.end - worlds.start;
+    let pieces = divided(count, (count as usize).div_ceil(most as usize));
+    pieces.into_iter().map(move |piece| worlds.start + piece.start..worlds.start + piece.end)
+}
+
 /// Named numbers of a minibatch or of a part of one.
 type Report = Vec<(&'static str, f64)>;
 
@@ -160,21 +172,18 @@ impl<N: Networks> ActorCritic<N> {
         let carried = self.critic_memory.take();
         let carried = carried
             .unwrap_or_else(|| Tensor::zeros([envs * agents, width], (Kind::Float, self.device)));
-        let divided = divided(envs, self.shards.min(envs as usize)).into_iter();
-        let parts: Vec<_> = divided
-            .map(|worlds| {
-                let (first, count) = (worlds.start, worlds.end - worlds.start);
-                let memory = carried
-                    .view([envs, agents, width])
-                    .narrow(0, first, count)
-                    .reshape([count * agents, width]);
-                (count, batch.of_envs(envs, first, count), memory)
-            })
-            .collect();
-        let counts: Vec<i64> = parts.iter().map(|(count, ..)| *count).collect();
-        let parts = self.parallel(self.own(parts), |networks, (count, part, memory)| {
-            no_grad(|| {
-                let (values, after) = networks.critic().values(&part, steps + 1, &memory);
+        let carried = carried.view([envs, agents, width]);
+        let worlds = divided(envs, self.shards.min(envs as usize));
+        let counts: Vec<i64> = worlds.iter().map(|worlds| worlds.end - worlds.start).collect();
+        let parts = self.own(worlds).into_iter();
+        let parts = parts.map(|worlds| (worlds, batch.share(), carried.shallow_clone())).collect();
+        let parts = self.parallel(parts, |networks, (worlds, batch, carried)| {
+            let pieces = pieces_of(worlds, (steps + 1) * agents).map(|piece| {
+                let (first, count) = (piece.start, piece.end - piece.start);
+                let memory = carried.narrow(0, first, count).reshape([count * agents, width]);
+                let batch = batch.of_envs(envs, first, count);
+                let (values, after) =
+                    no_grad(|| networks.critic().values(&batch, steps + 1, &memory));
                 let values = values.view([steps + 1, count, agents]);
                 let memory = after.map(|after| {
                     let before =
@@ -183,7 +192,12 @@ impl<N: Networks> ActorCritic<N> {
                     (before.view([steps + 1, count, agents, width]), last)
                 });
                 (values, memory)
-            })
+            });
+            let (values, memories): (Vec<_>, Vec<_>) = pieces.unzip();
+            let (before, last): (Vec<_>, Vec<_>) = memories.into_iter().flatten().unzip();
+            let memory =
+                (width > 0).then(|| (Tensor::cat(&before, 1), Tensor::cat(&last, 0)));
+            (Tensor::cat(&values, 1), memory)
         });
         let (values, memories): (Vec<_>, Vec<_>) = parts.into_iter().unzip();
         let of = |shape: fn([i64; 4]) -> Vec<i64>| -> Vec<Vec<i64>> {
@@ -477,5 +491,19 @@ mod tests {
                 assert!(worlds.len() == 1 || worlds.iter().all(enough), "{envs} {agents} {most}");
             }
         }
+    }
+
+    /// The value function reads each world once, and not more samples at once than it may.
+    #[test]
+    fn values_are_computed_in_pieces() {
+        for (first, last, samples) in [(0, 16, 1032), (8, 16, 6192), (3, 8, 99_072), (0, 1, 1)] {
+            let pieces: Vec<_> = pieces_of(first..last, samples).collect();
+            let all: Vec<i64> = pieces.iter().cloned().flatten().collect();
+            assert_eq!(all, (first..last).collect::<Vec<_>>());
+            let count = |piece: &Range<i64>| piece.end - piece.start;
+            let few = |piece| count(piece) == 1 || count(piece) * samples <= MOST_VALUES;
+            assert!(pieces.iter().all(few), "{pieces:?}");
+        }
+        assert_eq!(pieces_of(0..16, 1032).count(), 1, "small rollouts are read at once");
     }
 }

@@ -16,6 +16,11 @@ pub enum ComputeDevice {
 }
 
 impl ComputeDevice {
+    /// Returns whether this is a GPU.
+    pub fn is_cuda(self) -> bool {
+        matches!(self, Self::Cuda(_))
+    }
+
     /// Returns the device, if this build of libtorch sees it.
     ///
     /// # Errors

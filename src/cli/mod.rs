@@ -36,6 +36,8 @@ mod report;
 mod scenario;
 mod sweep;
 mod train;
+#[cfg(feature = "learn")]
+mod work;
 
 use std::io::IsTerminal as _;
 use std::process::ExitCode;
@@ -155,12 +157,17 @@ pub fn main() -> ExitCode {
         Ok(Verdict::Bad) => ExitCode::from(1),
         Ok(Verdict::Interrupted) => ExitCode::from(INTERRUPTED),
         Err(error) => {
-            say!("error: {error:#}");
-            if let Some(hint) = hint_of_path(&error).or_else(|| hint(&error)) {
-                say!("\nhint: {hint}");
-            }
+            say_error(&error);
             ExitCode::from(2)
         }
+    }
+}
+
+/// Prints an error, and what can be done about it.
+fn say_error(error: &anyhow::Error) {
+    say!("error: {error:#}");
+    if let Some(hint) = hint_of_path(error).or_else(|| hint(error)) {
+        say!("\nhint: {hint}");
     }
 }
 
@@ -209,6 +216,12 @@ fn hint_of_learning(cause: &(dyn std::error::Error + 'static)) -> Option<String>
             e.hint()
         }
         (_, Some(train::Error::Env(e))) => e.hint(),
+        (_, Some(train::Error::Locked { .. })) => crate::ranks::tasks_without_mpi().map(|count| {
+            format!(
+                "this process is one of {count} tasks of `srun`, which started them without MPI: for one training in {count} processes \
+                 use `srun --mpi=pmix`; for {count} trainings, give each a folder of its own with --out"
+            )
+        }),
         _ => None,
     }
 }

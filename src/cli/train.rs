@@ -22,6 +22,7 @@ use crate::words::counted;
 
 use super::config::SettingsArgs;
 use super::progress::ProgressView;
+use super::work::{is_mixed, update_of, worlds_of};
 use super::{Verdict, program, word};
 
 /// Settings in rising priority: defaults, `--profile`, `--preset`, `--config`, `--set`, other
@@ -104,17 +105,28 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             Some(Error::Env(_) | Error::Algorithm(_) | Error::Diverged { .. })
         )
     };
-    match &end {
-        // All processes have failed together, and end once the first one has written the run.
-        Err(error) if known(error) => drop(ranks.all_gather(&[])),
-        Err(error) => {
-            say!("error: {error:#}");
-            ranks.abort();
-        }
-        Ok(_) => {}
+    let Err(error) = &end else { return end };
+    let first = ranks.rank() == 0;
+    if known(error) {
+        // All processes have failed together. The first one says why, and all end after that.
+        super::be_quiet(!first);
+        super::say_error(error);
+        drop(ranks.all_gather(&[]));
+        super::be_quiet(true);
+        return end;
     }
+    super::be_quiet(false);
+    if !first {
+        // A wrong setting fails in all processes. The first one says so, and ends the others.
+        std::thread::sleep(BEFORE_OTHERS);
+    }
+    super::say_error(error);
+    ranks.abort();
     end
 }
+
+/// How long the first process has for its own error before the others print theirs.
+const BEFORE_OTHERS: Duration = Duration::from_secs(1);
 
 /// Returns the profile of the first process's machine, so that all processes have the same
 /// settings.
@@ -229,23 +241,6 @@ fn trainer_of(
     Ok((trainer, changes))
 }
 
-/// Describes the worlds and their SUMOs, in words.
-fn worlds_of(config: &Config, place: &TaskSource) -> String {
-    let (hosting, worlds) = (config.hosting(), config.train.envs);
-    match place {
-        TaskSource::Scenario(_) if is_mixed(config, place) => {
-            hosting.alone(worlds).describe(worlds)
-        }
-        TaskSource::Scenario(_) => hosting.describe(worlds),
-        TaskSource::Environment(_) => format!("{} without SUMO", counted(worlds, "world")),
-    }
-}
-
-/// Returns whether there is background traffic, which needs a SUMO per world.
-fn is_mixed(config: &Config, place: &TaskSource) -> bool {
-    place.scenario().is_some_and(|scenario| scenario.traffic.is_mixed(config.agents))
-}
-
 /// Says what is trained, where and with which settings that a user may not expect.
 fn announce(
     args: &Args,
@@ -274,13 +269,10 @@ fn announce(
     for change in changes {
         say!("the run continues with another setting: {change}");
     }
-    let ppo = &config.learner.ppo;
     say!(
-        "{}, minibatches of {} samples in {} on {}{}",
-        worlds_of(config, place),
-        ppo.minibatch,
-        counted(ppo.shards, "shard"),
-        String::from(config.device),
+        "{}, {}{}",
+        worlds_of(config, place, processes),
+        update_of(config),
         if args.resume { String::new() } else { format!(" (profile {})", profile.name) }
     );
     let (exploration, annealing) =
@@ -311,7 +303,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
     let Resolution { config, place, origins, .. } = &resolution;
     let idle = config::unread(&given.set, config)
         .into_iter()
-        .chain(config::without_effect(&given.set, place.scenario()))
+        .chain(config::without_effect(&given.set, place.scenario(), config.agents))
         .chain(config::overruled(&layers, origins));
     for line in idle.filter(|_| first) {
         say!("{line}");
@@ -334,7 +326,7 @@ fn train(args: &Args, ranks: Arc<dyn Ranks>) -> anyhow::Result<Verdict> {
         );
     }
     announce(args, &resolution, &trainer, &changes, processes);
-    let worlds = worlds_of(config, place);
+    let worlds = worlds_of(config, place, processes);
     dir.begin_meta(config, trainer.progress(), &place.fingerprint(), &worlds)?;
     let terminal = first && std::io::stderr().is_terminal();
     let begun = trainer.progress().step;

@@ -10,6 +10,7 @@ use crate::algo::settings::{EncoderKind, NoiseMode};
 use crate::algo::{self, Settings};
 use crate::env::NamedEnvironment;
 use crate::scenario::{self, Scenario};
+use crate::sumo::Backend;
 
 /// Returns why a `--set` has no effect in an evaluation, if its setting comes from elsewhere there.
 pub fn no_matter_of_evaluation(set: &str) -> Option<String> {
@@ -55,10 +56,18 @@ pub fn unread(sets: &[String], config: &Config) -> Vec<String> {
 
 /// Returns which of the settings of `--set` other values of the scenario make ineffective, each with
 /// the reason.
-pub fn without_effect(sets: &[String], scenario: Option<&Scenario>) -> Vec<String> {
+pub fn without_effect(sets: &[String], scenario: Option<&Scenario>, agents: u32) -> Vec<String> {
     let Some(scenario) = scenario else { return Vec::new() };
-    let reason =
-        |set: &String| Some(format!("--set {set} has no effect: {}", idle(set, scenario)?));
+    let is_mixed = scenario.traffic.is_mixed(agents);
+    let reason = |set: &String| {
+        let key = set.split_once('=').map_or("", |(key, _)| key.trim());
+        let why = if is_mixed && key == "simulation.processes" {
+            "mixed traffic has a SUMO for each world"
+        } else {
+            idle(set, scenario)?
+        };
+        Some(format!("--set {set} has no effect: {why}"))
+    };
     sets.iter().filter_map(reason).collect()
 }
 
@@ -122,6 +131,7 @@ impl Config {
         let Settings { network, exploration, ppo, .. } = &self.learner;
         let is_learned = exploration.mode == NoiseMode::Learned;
         let learned = "exploration.mode is learned";
+        let is_libsumo = self.hosting().backend == Backend::Libsumo;
         [
             (
                 "network.chunk_length",
@@ -131,9 +141,20 @@ impl Config {
             ("exploration.log_std_end", is_learned, learned),
             ("ppo.learning_rate_follows_noise", is_learned, learned),
             ("ppo.entropy_end", ppo.entropy_coefficient == 0.0, "ppo.entropy_coefficient is 0"),
+            ("ppo.shards", self.device.is_cuda(), "a GPU works on one part of a minibatch at a time"),
+            ("simulation.processes", is_libsumo, "libsumo runs in this process"),
+            ("simulation.timeout", is_libsumo, "libsumo runs in this process"),
         ]
         .into_iter()
         .filter_map(|(key, idle, why)| idle.then_some((key, why)))
+    }
+
+    /// Returns whether a training with these settings reads the setting `key`: whether neither its
+    /// algorithm nor another setting makes it ineffective.
+    pub fn reads(&self, key: &str) -> bool {
+        let by_method = algo::capabilities(&self.algorithm);
+        by_method.is_ok_and(|method| !method.unread.contains(&key))
+            && self.idle().all(|(idle, _)| idle != key)
     }
 
     /// Returns the settings that the algorithm reads, as TOML: two trainings with the same ones are
@@ -213,6 +234,7 @@ mod tests {
             ("ex-iwol", "iwol.latent=8"),
             ("magic", "iwol.rounds=2"),
             ("maddpg", "ppo.epochs=2"),
+            ("maddpg-iwol", "ppo.shards=4"),
             ("maddpg-iwol", " iwol.decoded = 1"),
         ] {
             assert!(told(algorithm, set)[0].contains("does not read it"), "{algorithm} {set}");
@@ -249,9 +271,28 @@ mod tests {
         ] {
             assert_eq!(others.map(|other| told(&[other], set).len()), [1, 0], "{set}");
         }
+        let shards = |device| told(&[&format!("device={device}")], "ppo.shards=4").len();
+        assert_eq!(["cuda:0", "cpu"].map(shards), [1, 0]);
+        let processes =
+            |backend| told(&[&format!("simulation.backend={backend}")], "simulation.processes=4").len();
+        assert_eq!(["libsumo", "traci"].map(processes), [1, 0]);
         let [one, other] = ["network.chunk_length=4", "network.chunk_length=8"]
             .map(|set| config(&["network.encoder=mlp", set]).read_settings());
         assert_eq!(one, other, "the same training");
+    }
+
+    #[test]
+    fn mixed_traffic_has_a_sumo_for_each_world() {
+        let told = |penetration: f64| {
+            let mut scenario = Scenario::load(&config(&[]).scenario.file).expect("a scenario");
+            scenario.traffic.penetration = penetration;
+            without_effect(&["simulation.processes=2".to_owned()], Some(&scenario), 8)
+        };
+        assert!(told(1.0).is_empty());
+        assert_eq!(
+            told(0.5),
+            ["--set simulation.processes=2 has no effect: mixed traffic has a SUMO for each world"]
+        );
     }
 
     #[test]

@@ -122,6 +122,17 @@ pub enum Error {
         /// Number of processes.
         size: usize,
     },
+    /// The launcher belongs to another MPI than the program.
+    #[error(
+        "this is one of {launched} processes of MPI's launcher, but the MPI with which the program was built finds {found}: \
+         the launcher belongs to another MPI; use the launcher of the MPI with which the program was built"
+    )]
+    OtherMpi {
+        /// Number of processes according to the launcher.
+        launched: usize,
+        /// Number of processes according to MPI.
+        found: usize,
+    },
     /// MPI could not be started.
     #[error("MPI could not be started in one of {size} processes")]
     NotStarted {
@@ -139,7 +150,13 @@ pub fn of_this_process() -> Result<Arc<dyn Ranks>, Error> {
     match processes() {
         0 | 1 => Ok(Arc::new(Alone)),
         #[cfg(feature = "mpi")]
-        size => Ok(Arc::new(mpi::World::start().ok_or(Error::NotStarted { size })?)),
+        size => {
+            let world = mpi::World::start().ok_or(Error::NotStarted { size })?;
+            if world.size() != size {
+                return Err(Error::OtherMpi { launched: size, found: world.size() });
+            }
+            Ok(Arc::new(world))
+        }
         #[cfg(not(feature = "mpi"))]
         size => Err(Error::NotBuilt { size }),
     }
@@ -165,6 +182,13 @@ fn processes() -> usize {
         number("SLURM_STEP_NUM_TASKS")
     };
     number("OMPI_COMM_WORLD_SIZE").or_else(|| number("PMI_SIZE")).or_else(slurm).unwrap_or(1)
+}
+
+/// Returns the number of tasks that Slurm's `srun` started with this one, if it started several
+/// without MPI.
+pub fn tasks_without_mpi() -> Option<usize> {
+    let tasks = std::env::var("SLURM_STEP_NUM_TASKS").ok()?.parse().ok()?;
+    (tasks > 1 && processes() == 1).then_some(tasks)
 }
 
 #[cfg(test)]

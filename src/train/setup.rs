@@ -144,7 +144,7 @@ fn divided(
     for (key, count) in
         [("train.envs", config.train.envs), ("ppo.shards", config.learner.ppo.shards)]
     {
-        if count < size {
+        if count < size && config.reads(key) {
             return Err(Error::TooManyRanks { key, count, size });
         }
     }

@@ -128,6 +128,7 @@ const fn method(
             "ppo.bounds",
             "ppo.entropy_coefficient",
             "ppo.entropy_end",
+            "ppo.shards",
         ],
     };
     Method { name, capabilities, build }

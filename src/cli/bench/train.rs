@@ -19,6 +19,7 @@ use crate::train::{Report, RunDir};
 
 use super::{Verdict, median};
 use crate::cli::stop_flag;
+use crate::cli::work::{update_of, worlds_of};
 
 #[derive(Debug, clap::Args)]
 pub(super) struct Train {
@@ -71,6 +72,12 @@ struct Row {
     seconds: f64,
     /// Success in the last validation \[%\].
     success: f64,
+    /// Where the worlds run and how updates are divided.
+    worlds: String,
+    updates: String,
+    /// Profile, and what `--set` changes.
+    profile: &'static str,
+    set: Vec<String>,
     program: Program,
     host: Host,
 }
@@ -93,6 +100,18 @@ pub(super) fn run(args: &Train) -> anyhow::Result<Verdict> {
             program.sumo,
             program.libtorch
         );
+        for (_, _, Resolution { config, place, profile, .. }) in
+            runs.iter().filter(|(_, seed, _)| *seed == 0)
+        {
+            tell!(
+                "{}: {}, {} (profile {}){}",
+                config.algorithm,
+                worlds_of(config, place, 1),
+                update_of(config),
+                profile.name,
+                if args.set.is_empty() { String::new() } else { format!(", --set {}", args.set.join(" --set ")) }
+            );
+        }
         tell!(
             "{:10} {:>6} {:>4} {:>16} {:>9} {:>12} {:>9} {:>9}",
             "algorithm",
@@ -107,7 +126,7 @@ pub(super) fn run(args: &Train) -> anyhow::Result<Verdict> {
     }
     let mut rows: Vec<Row> = Vec::new();
     for (name, seed, resolution) in runs {
-        let row = measure(args.success, seed, resolution, &team)
+        let row = measure(args, seed, resolution, &team)
             .with_context(|| format!("{name} with seed {seed}"))?;
         if team.stop.load(Ordering::Relaxed) {
             return Ok(Verdict::Interrupted);
@@ -144,8 +163,9 @@ impl Train {
 }
 
 /// Trains until the run is solved or has taken all its steps.
-fn measure(success: f64, seed: u64, resolution: Resolution, team: &Team) -> anyhow::Result<Row> {
-    let Resolution { config, place, .. } = resolution;
+fn measure(args: &Train, seed: u64, resolution: Resolution, team: &Team) -> anyhow::Result<Row> {
+    let (success, set) = (args.success, &args.set);
+    let Resolution { config, place, profile, .. } = resolution;
     let folder = tempfile::tempdir().context("cannot create a temporary folder")?;
     let dir = RunDir::new(folder.path());
     let begin = Instant::now();
@@ -170,6 +190,10 @@ fn measure(success: f64, seed: u64, resolution: Resolution, team: &Team) -> anyh
         steps: trainer.progress().step,
         seconds,
         success: curve.last().map_or(f64::NAN, |(_, success)| *success),
+        worlds: worlds_of(&config, &place, 1),
+        updates: update_of(&config),
+        profile: profile.name,
+        set: set.to_vec(),
         program: Program::current(),
         host: Host::current(),
     })

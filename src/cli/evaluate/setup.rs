@@ -89,7 +89,7 @@ impl Setup {
                 }
             }
         }
-        for line in config::without_effect(&args.set, place.scenario()) {
+        for line in config::without_effect(&args.set, place.scenario(), config.agents) {
             say!("{line}");
         }
         let run = args.run.as_deref().and_then(RunDir::of);
