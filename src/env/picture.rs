@@ -51,6 +51,8 @@ pub struct Backdrop {
     pub size: [f64; 2],
     /// Communication range \[m\]; infinite if it is unlimited.
     pub range: f64,
+    /// Distance up to which agents see each other \[m\]; `None` if it is unlimited or unknown.
+    pub sight: Option<f64>,
     /// Lanes, or other strips of ground.
     pub lanes: Vec<Lane>,
     /// Areas of the ground; later ones are drawn over earlier ones.

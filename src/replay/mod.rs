@@ -58,6 +58,9 @@ pub struct Recording {
     pub steps: usize,
     /// Communication range \[m\]; `None` if it is unlimited.
     pub comm_range: Option<f64>,
+    /// Distance up to which agents see each other \[m\]; `None` if it is unlimited or unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sight_range: Option<f64>,
     /// Whether agents send messages at run time. If not, the edges show which agents are in range.
     pub communicates: bool,
     /// Size of every agent's vehicle, unless the columns `length` and `width` give each its own.
@@ -334,6 +337,7 @@ mod tests {
             agents: 2,
             steps: 2,
             comm_range: Some(50.0),
+            sight_range: Some(12.0),
             communicates: true,
             vehicle: Size { length: 4.5, width: 1.8 },
             lanes: vec![Lane {

@@ -292,6 +292,7 @@ impl Recorder {
             agents: self.agents,
             steps: self.rows.status.len() / self.agents,
             comm_range: backdrop.range.is_finite().then_some(backdrop.range),
+            sight_range: backdrop.sight,
             communicates: self.rows.graph,
             vehicle: Size { length, width },
             lanes: if backdrop.lanes.is_empty() && backdrop.zones.is_empty() {

@@ -10,6 +10,8 @@ use crate::plot::path;
 const MARGIN: f64 = 4.0;
 /// Length of a car \[m\]: lines and letters shrink where bodies are smaller.
 const CAR: f64 = 4.5;
+/// Size of the caption's letters, as a share of the picture's width.
+const LETTERS: f64 = 0.015;
 /// Fills of areas: of the ground, and of those on it by their names.
 const ZONES: [&str; 4] = [
     "fill=\"#d2d6da\"",
@@ -29,7 +31,8 @@ const PERSON: f64 = 0.6;
 
 impl Recording {
     /// Draws the net, the vehicles and the communication links at `step` (the last step if there
-    /// are fewer), and where the agents have been until then. One metre is one SVG unit.
+    /// are fewer), and where the agents have been until then, with a scale and a caption below. One
+    /// metre is one SVG unit.
     pub fn still(&self, step: usize) -> String {
         let step = step.min(self.steps - 1);
         let unit = (self.vehicle.length / CAR).min(1.0);
@@ -43,14 +46,16 @@ impl Recording {
         let (left, bottom, right, top) =
             (left - margin, bottom - margin, right + margin, top + margin);
         let mut svg = String::new();
+        let (width, letters) = (right - left, LETTERS * (right - left));
+        let strip = 2.4 * letters;
         // SVG's y axis points down.
         let _ = writeln!(
             svg,
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"{left:.2} {:.2} {:.2} {:.2}\" width=\"900\">\n\
              <title>{}, step {step}</title>\n<g transform=\"scale(1 -1)\" fill=\"none\" stroke-linecap=\"round\">",
             -top,
-            right - left,
-            top - bottom,
+            width,
+            top - bottom + strip,
             escaped(&format!("{}, {}", self.scenario, self.policy)),
         );
         let mut names: Vec<&str> = Vec::new();
@@ -156,6 +161,7 @@ impl Recording {
             );
         }
         let sizes = self.sizes(step);
+        let mut numbers = String::new();
         for (number, (status, [x, y, heading])) in vehicles.iter().enumerate() {
             let color = match status {
                 Status::Driving => DRIVING,
@@ -168,9 +174,7 @@ impl Recording {
                 svg,
                 "<g transform=\"translate({x:.2} {y:.2})\"><g transform=\"rotate({:.1})\">\
                  <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{l:.2}\" height=\"{w:.2}\" rx=\"{:.2}\" fill=\"{color}\"/>\
-                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"#fff\" fill-opacity=\".8\"/>{}</g>\
-                 <text transform=\"scale(1 -1)\" y=\"{:.2}\" font-family=\"sans-serif\" font-size=\"{:.2}\" \
-                 text-anchor=\"middle\" fill=\"#1b1f24\">{number}</text></g>",
+                 <rect x=\"{:.2}\" y=\"{:.2}\" width=\"{:.2}\" height=\"{:.2}\" fill=\"#fff\" fill-opacity=\".8\"/>{}</g></g>",
                 heading.to_degrees(),
                 -l / 2.0,
                 -w / 2.0,
@@ -180,13 +184,56 @@ impl Recording {
                 l * 0.13,
                 w * 0.76,
                 if *status == Status::Failed { cross(l, w, unit) } else { String::new() },
-                -1.6 * unit,
-                2.2 * unit,
+            );
+            // The number stands to the left of the body, clear of it in every direction.
+            let (size, (sin, cos)) = (2.2 * unit, heading.sin_cos());
+            let away = w / 2.0 + 0.6 * size;
+            let _ = writeln!(
+                numbers,
+                "<text transform=\"translate({:.2} {:.2}) scale(1 -1)\" dy=\".35em\" font-size=\"{size:.2}\">{number}</text>",
+                x - away * sin,
+                y + away * cos,
             );
         }
-        svg.push_str("</g>\n</svg>\n");
+        let _ = writeln!(
+            svg,
+            "<g font-family=\"sans-serif\" text-anchor=\"middle\" fill=\"#1b1f24\" stroke=\"#fff\" stroke-width=\"{:.2}\" paint-order=\"stroke\">\n{numbers}</g>\n</g>",
+            0.4 * unit
+        );
+        svg.push_str(&self.caption(step, [left, strip - bottom], letters));
+        svg.push_str("</svg>\n");
         svg
     }
+
+    /// Returns a scale, and what the picture shows, in a line of letters of this size \[m\] above
+    /// the lower left corner of the picture.
+    fn caption(&self, step: usize, [left, bottom]: [f64; 2], letters: f64) -> String {
+        let scale = scale_of(0.12 * letters / LETTERS);
+        let (x, y) = (left + letters, bottom - 0.9 * letters);
+        let text = format!(
+            "{scale} m · {} · {} · episode {} · {:.1} s",
+            self.scenario,
+            self.policy,
+            self.episode,
+            step as f64 * self.step_length
+        );
+        format!(
+            "<path d=\"M{x:.2} {:.2}V{y:.2}H{end:.2}V{:.2}\" fill=\"none\" stroke=\"{OTHER}\" stroke-width=\"{:.3}\"/>\
+             <text x=\"{:.2}\" y=\"{y:.2}\" font-family=\"sans-serif\" font-size=\"{letters:.3}\" fill=\"{OTHER}\">{}</text>\n",
+            y - 0.4 * letters,
+            y - 0.4 * letters,
+            0.12 * letters,
+            x + scale + 0.6 * letters,
+            escaped(&text),
+            end = x + scale
+        )
+    }
+}
+
+/// Returns the largest one of the lengths 1, 2 and 5 times a power of ten that is at most `most`.
+fn scale_of(most: f64) -> f64 {
+    let power = 10_f64.powf(most.log10().floor());
+    [5.0, 2.0, 1.0].map(|digit| digit * power).into_iter().find(|length| *length <= most).unwrap_or(power)
 }
 
 /// Returns the path of an arrowhead before the vehicle at `to`, on a line from `from`; empty if
@@ -233,6 +280,14 @@ mod tests {
     }
 
     #[test]
+    fn scales_are_round_lengths() {
+        for (most, scale) in [(0.05, 0.05), (0.9, 0.5), (1.0, 1.0), (49.0, 20.0), (999.0, 500.0)] {
+            let found = super::scale_of(most);
+            assert!((found - scale).abs() < 1e-9, "{most}: {found}");
+        }
+    }
+
+    #[test]
     fn a_still_shows_those_who_are_there() {
         let svg = recording().still(1);
         // The picture shows one crashed agent with its cross and no other vehicle, one lane, and
@@ -244,6 +299,9 @@ mod tests {
         assert!(svg.contains("#e0a800") && recording().still(0).contains("#cc2b2b"), "signals");
         assert_eq!(svg.matches("Z\" fill=\"#b9a78f\"").count(), 1, "a wall");
         assert_eq!(recording().still(99), svg, "beyond the end is the end");
+        assert!(svg.contains(" · p · episode 0 · 0.1 s</text>"), "{svg}");
+        // The lane is 9 m long, so that the picture is 17 m wide.
+        assert!(svg.contains(">2 m · a&lt;"), "{svg}");
         assert_eq!(svg.matches("stroke-opacity=\".3\"").count(), 1, "where the first agent was");
         // At step 0 only the first agent hears the other one, which is 399 m to the east.
         let still = recording().still(0);

@@ -6,6 +6,7 @@ use super::Error;
 use super::document::Document;
 use crate::curves::{self, Along};
 use crate::metrics::Metric;
+use crate::stats::Estimate;
 use crate::stats::contrast::{Contrast as Found, contrast, holm};
 use crate::sweep::{Cell, Compared, Contrast, Evaluate, Sweep};
 
@@ -28,6 +29,13 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
          of a permutation test, or of the bootstrap where two differences are compared; the last column is corrected for all rows \
          together (Holm).",
     );
+    let with_margin = rows.iter().any(|row| row.contrast.margin.is_some());
+    if with_margin {
+        document.text(
+            "A difference is *within* the margin that the sweep file names if its whole interval is, and *beyond* it if none of its \
+             interval is; otherwise the runs leave it open.",
+        );
+    }
     let table = rows.iter().zip(corrected).map(|(row, corrected)| {
         let mut cells = vec![row.contrast.title.clone(), row.heading(), row.runs()];
         match row.found {
@@ -39,12 +47,26 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
             }
             None => cells.extend(["–", "–", "–"].map(str::to_owned)),
         }
+        cells.extend(with_margin.then(|| row.against_margin()));
         cells
     });
     let table = table.collect();
     let header = ["comparison", "metric", "runs", "difference", "p", "p (Holm)"];
-    document.table(header.map(str::to_owned).to_vec(), table);
+    let header = header.into_iter().chain(with_margin.then_some("margin"));
+    document.table(header.map(str::to_owned).collect(), table);
     Ok(())
+}
+
+/// Returns whether an interval lies within or beyond a margin around 0.
+fn against(margin: f64, difference: Estimate) -> &'static str {
+    let Estimate { low, high, .. } = difference;
+    if low > -margin && high < margin {
+        "within"
+    } else if low > margin || high < -margin {
+        "beyond"
+    } else {
+        "open"
+    }
 }
 
 fn chance(p: f64) -> String {
@@ -76,6 +98,13 @@ impl Row<'_> {
             Compared::Evaluation => heading,
             Compared::Training => format!("{heading} over training"),
         }
+    }
+
+    /// Returns whether the difference is within the margin, if there is one.
+    fn against_margin(&self) -> String {
+        let Some(margin) = self.contrast.margin else { return String::new() };
+        let verdict = self.found.map_or("–", |found| against(margin, found.difference));
+        format!("{verdict} ±{margin}")
     }
 
     /// Returns the numbers of runs of the groups.
@@ -140,4 +169,24 @@ fn areas(cells: &[&Cell], metric: &Metric) -> Result<Vec<Option<f64>>, Error> {
         values.push(curves::mean_height(&curve, cell.config.steps as f64));
     }
     Ok(values)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn margins_are_kept_exceeded_or_left_open() {
+        for (low, high, verdict) in [
+            (-1.0, 1.5, "within"),
+            (0.5, 1.9, "within"),
+            (-1.0, 2.5, "open"),
+            (-9.0, 9.0, "open"),
+            (2.1, 4.0, "beyond"),
+            (-4.0, -2.1, "beyond"),
+        ] {
+            let difference = Estimate { mean: f64::midpoint(low, high), low, high };
+            assert_eq!(against(2.0, difference), verdict, "{low} {high}");
+        }
+    }
 }

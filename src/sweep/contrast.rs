@@ -24,6 +24,10 @@ pub struct Contrast {
     /// What is compared: the metric of the trained policies, or its mean over the training.
     #[serde(default)]
     pub of: Compared,
+    /// Largest difference that counts as none, in the unit of the metric's column in reports, such
+    /// as percentage points: the report says whether the difference is within it.
+    #[serde(default)]
+    pub margin: Option<f64>,
     /// Name of the evaluation that is compared [default: the first].
     #[serde(default)]
     pub evaluate: Option<String>,
@@ -86,6 +90,9 @@ impl Contrast {
             return Err(format!(
                 "{at}: a run without a crash has no number for km_per_crash; compare `crash`"
             ));
+        }
+        if self.margin.is_some_and(|margin| !(margin > 0.0 && margin.is_finite())) {
+            return Err(format!("{at}: margin must be above 0"));
         }
         if self.of == Compared::Training && (self.evaluate.is_some() || !self.at.is_empty()) {
             return Err(format!(

@@ -363,6 +363,17 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
         "{sooner:?}"
     );
 
+    // 30 points are more than 2; where no margin is named, the column is empty.
+    let title = "title = \"Im-IWoL against MAPPO among 4\"";
+    let with_margin = text.replace(title, &format!("{title}\nmargin = 2"));
+    let sweep = Sweep::parse(&with_margin, "s.toml", "s", folder.path()).expect("a sweep");
+    let (markdown, _) = report(&sweep, folder.path());
+    let row = |of: &str| {
+        let row = markdown.lines().find(|line| line.contains(of)).expect("a row");
+        row.rsplit('|').nth(1).expect("a cell").trim().to_owned()
+    };
+    assert_eq!(["Im-IWoL against MAPPO", "who learns sooner"].map(row), ["beyond ±2", ""]);
+
     // With three seeds, the largest difference has p = 2/20.
     let small = folder.path().join("small");
     let three = text.replace(five, few).replace("seed = [1, 2, 3, 4]", "seed = [1, 2]");
@@ -384,6 +395,8 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     assert!(unseen.contains("the metric of validations must be one of success"), "{unseen}");
     let named = wrong("of = \"training\"", "of = \"training\"\nevaluate = \"last\"");
     assert!(named.contains("omit `evaluate` and `at`"), "{named}");
+    let margin = wrong(title, &format!("{title}\nmargin = 0"));
+    assert!(margin.contains("margin must be above 0"), "{margin}");
     let several = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magic\"");
     assert!(several.contains("give more conditions"), "{several}");
     let none = wrong("algorithm = \"magic\", agents = 4", "algorithm = \"magik\"");

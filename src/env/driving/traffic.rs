@@ -211,6 +211,7 @@ impl Task {
             step_length: self.scenario.control.interval,
             size: [vehicle.length, vehicle.width],
             range: self.scenario.communication.range,
+            sight: Some(self.scenario.observation.detection_range).filter(|m| m.is_finite()),
             lanes: lanes.collect(),
             zones: Vec::new(),
             walls: self.map.walls.corners().map(<[_]>::to_vec).collect(),
