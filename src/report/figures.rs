@@ -7,6 +7,7 @@ use super::{Error, in_words};
 use crate::curves::{self, Along, Curve};
 use crate::metrics::{Metric, SUCCESS, Shown};
 use crate::plot::{Panel, Series, Style, figure};
+use crate::scenario;
 use crate::stats::aggregate::performance_profile;
 use crate::sweep::{Reference, Sweep};
 
@@ -47,6 +48,9 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
             unit,
         );
     }
+    // A line between two places says that there is something in between, as between two numbers.
+    let is_scale = block.categories.iter().all(|place| place.parse::<f64>().is_ok());
+    let joined = |points| if is_scale { points } else { apart(points) };
     let mut series: Vec<Series> = Vec::new();
     for (k, (label, line)) in lines.iter().enumerate() {
         let dodge = dodge(k, count, block.categories.len());
@@ -58,7 +62,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         let (points, band) = places.map(|(x, e)| ((x, e.mean), (x, e.low, e.high))).unzip();
         series.push(Series {
             label: (*label).to_owned(),
-            points,
+            points: joined(points),
             band: Some(band),
             style: Style::Whiskers,
         });
@@ -70,7 +74,7 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
         let points = points.into_iter().map(|(x, y)| (x as f64 + aside, y)).collect();
         series.push(Series {
             label: reference.label.clone(),
-            points,
+            points: joined(points),
             band: None,
             style: Style::Beside(reference.beside.clone()),
         });
@@ -96,6 +100,11 @@ fn panel(sweep: &Sweep, block: &Block<'_>, metric: &Metric, name: Option<&str>) 
     }
 }
 
+/// Returns the points with a NaN after each, which keeps the plot from joining them by a line.
+fn apart(points: Vec<(f64, f64)>) -> Vec<(f64, f64)> {
+    points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect()
+}
+
 /// Draws the lines side by side, each at its own place of the axis with its name below.
 fn side_by_side(
     lines: &[(&str, &Line<'_>)],
@@ -104,10 +113,6 @@ fn side_by_side(
     unit: Unit,
 ) -> Panel {
     const HERE: &str = "this sweep";
-    // A NaN between two points keeps the plot from joining them by a line.
-    let apart = |points: Vec<(f64, f64)>| {
-        points.into_iter().flat_map(|point| [point, (f64::NAN, f64::NAN)]).collect()
-    };
     let found = lines
         .iter()
         .enumerate()
@@ -168,14 +173,21 @@ fn dodge(k: usize, count: usize, places: usize) -> f64 {
     (k as f64 - (count as f64 - 1.0) / 2.0) * if places == 1 { step } else { step.min(0.08) }
 }
 
-/// Returns the label of the axis for a key.
+/// Returns the label of the axis for a key, with its unit if it is an attribute of a scenario that
+/// has one.
 fn axis_label(key: &str) -> String {
     match key {
-        "agents" => "vehicles".to_owned(),
-        "scenario.communication.range" => "communication range (m)".to_owned(),
-        "scenario.observation.neighbours" => "observed vehicles".to_owned(),
-        _ => in_words(key),
+        "agents" => return "vehicles".to_owned(),
+        "scenario.observation.neighbours" => return "observed vehicles".to_owned(),
+        _ => {}
     }
+    let unit = key.strip_prefix("scenario.").and_then(|attribute| {
+        let (element, name) = attribute.split_once('.')?;
+        let element = scenario::describe().all().into_iter().find(|e| e.name == element)?;
+        element.attribute(name)?.unit.clone()
+    });
+    let name = in_words(key);
+    unit.map_or_else(|| name.clone(), |unit| format!("{name} ({unit})"))
 }
 
 /// Draws performance profiles of the lines that have all their results. Returns `false`, and draws
@@ -246,4 +258,22 @@ fn validations(line: &Line<'_>, place: usize) -> Result<Vec<Curve>, Error> {
     }
     found.retain(|curve| !curve.is_empty());
     Ok(found)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::axis_label;
+
+    #[test]
+    fn axes_name_the_unit_of_what_they_show() {
+        for (key, label) in [
+            ("agents", "vehicles"),
+            ("scenario.communication.range", "communication range (m)"),
+            ("scenario.observation.detectionRange", "observation detection range (m)"),
+            ("scenario.observation.intention", "observation intention"),
+            ("channel.loss", "loss"),
+        ] {
+            assert_eq!(axis_label(key), label);
+        }
+    }
 }

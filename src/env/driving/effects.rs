@@ -35,27 +35,68 @@ pub(super) struct RoadUser {
 /// before the two were first seen together is unknown, and negative infinite.
 #[derive(Debug, Clone, Copy)]
 struct Pass {
-    /// Position of the conflict point on the agent's route \[m\].
-    at: f64,
     agent: [f64; 2],
     other: [f64; 2],
+    /// Where the agent and the other vehicle come to the conflict point.
+    places: [Place; 2],
 }
 
+/// A conflict point on a vehicle's route.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Place {
+    route: usize,
+    /// Position on the route \[m\].
+    at: f64,
+    /// Width of the vehicle that crosses there \[m\].
+    wide: f64,
+}
+
+const NOWHERE: Place = Place { route: 0, at: f64::INFINITY, wide: 0.0 };
 const NOT_YET: Pass =
-    Pass { at: f64::INFINITY, agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2] };
+    Pass { agent: [f64::INFINITY; 2], other: [f64::INFINITY; 2], places: [NOWHERE; 2] };
+
+impl Place {
+    /// Returns whether the front of a vehicle has reached the place, and whether its rear has left
+    /// it. The place is as long as the vehicle that crosses there is wide.
+    fn passed_by(&self, slot: &Slot) -> [bool; 2] {
+        let (half, margin) = (slot.size[0] / 2.0, self.wide / 2.0);
+        [slot.s + half >= self.at - margin, slot.s - half >= self.at + margin]
+    }
+}
 
 impl Pass {
     /// Notes where the two vehicles are at time `now` \[s\]; `at`: positions of the conflict point
     /// on the agent's and the other vehicle's route \[m\].
     fn look(&mut self, at: [f64; 2], agent: &Slot, other: &Slot, now: f64) {
-        let is_first = self.at != at[0];
+        let is_first = self.places[0].at != at[0];
         if is_first {
-            *self = Self { at: at[0], ..NOT_YET };
+            *self = NOT_YET;
         }
+        self.places = [
+            Place { route: agent.route, at: at[0], wide: other.size[1] },
+            Place { route: other.route, at: at[1], wide: agent.size[1] },
+        ];
         let now = if is_first { f64::NEG_INFINITY } else { now };
-        note(&mut self.agent, agent, at[0], other.size[1], now);
-        note(&mut self.other, other, at[1], agent.size[1], now);
+        note(&mut self.agent, self.places[0].passed_by(agent), now);
+        note(&mut self.other, self.places[1].passed_by(other), now);
     }
+}
+
+/// A vehicle of the road.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Party {
+    Agent(usize),
+    RoadUser(usize),
+}
+
+/// A vehicle that is still to come to a conflict point, which another one has left that is gone
+/// since.
+#[derive(Debug, Clone, Copy)]
+struct Awaited {
+    who: Party,
+    place: Place,
+    /// When the rear of the one that is gone left the conflict point \[s\].
+    left: f64,
 }
 
 /// What is recorded about the background traffic of an episode.
@@ -65,6 +106,8 @@ pub(super) struct Effects {
     pub(super) road_users: Vec<RoadUser>,
     /// Times at the conflict points, `[N, road users]`.
     passes: Vec<Pass>,
+    /// Vehicles that are still to come where others have been.
+    awaited: Vec<Awaited>,
     /// Records of the vehicles, and of the pedestrians, whose slots have become free.
     left: [Vec<RoadUser>; 2],
     /// Smallest time to collision with an agent so far \[s\].
@@ -79,6 +122,7 @@ impl Effects {
         Self {
             road_users: vec![RoadUser::default(); road_users],
             passes: vec![NOT_YET; agents * road_users],
+            awaited: Vec::with_capacity(agents * road_users),
             left: [left(), left()],
             ttc: MAX_TIME_APART,
             pet: MAX_TIME_APART,
@@ -89,6 +133,7 @@ impl Effects {
     pub(super) fn begin(&mut self) {
         self.road_users.fill(RoadUser::default());
         self.passes.fill(NOT_YET);
+        self.awaited.clear();
         self.left.iter_mut().for_each(Vec::clear);
         (self.ttc, self.pet) = (MAX_TIME_APART, MAX_TIME_APART);
     }
@@ -97,16 +142,52 @@ impl Effects {
     /// slot may be used again.
     pub(super) fn dismiss(&mut self, road_user: usize, walks: bool) {
         self.left[usize::from(walks)].push(std::mem::take(&mut self.road_users[road_user]));
-        let count = self.road_users.len();
-        for row in self.passes.chunks_mut(count) {
-            row[road_user] = NOT_YET;
+        for agent in 0..self.passes.len() / self.road_users.len() {
+            self.part(agent, road_user);
         }
+        self.awaited.retain(|awaited| awaited.who != Party::RoadUser(road_user));
     }
 
     /// Notes that the slot of an agent gets another agent.
     pub(super) fn renew(&mut self, agent: usize) {
-        let count = self.road_users.len();
-        self.passes[agent * count..][..count].fill(NOT_YET);
+        for road_user in 0..self.road_users.len() {
+            self.part(agent, road_user);
+        }
+        self.awaited.retain(|awaited| awaited.who != Party::Agent(agent));
+    }
+
+    /// Notes that an agent and another vehicle are no longer on the road together. If one of them
+    /// has left their conflict point, the other is awaited there.
+    fn part(&mut self, agent: usize, road_user: usize) {
+        let at = agent * self.road_users.len() + road_user;
+        let Pass { agent: own, other, places } = std::mem::replace(&mut self.passes[at], NOT_YET);
+        let parties = [Party::Agent(agent), Party::RoadUser(road_user)];
+        for (who, place, [front, _], [_, left]) in
+            [(parties[0], places[0], own, other), (parties[1], places[1], other, own)]
+        {
+            if left.is_finite() && front == f64::INFINITY {
+                self.awaited.push(Awaited { who, place, left });
+            }
+        }
+    }
+
+    /// Notes at time `now` \[s\] which awaited vehicles have come, of the agents and of one other
+    /// vehicle.
+    fn receive(&mut self, agents: &[Slot], road_user: usize, other: &Slot, now: f64) {
+        let Self { awaited, pet, .. } = self;
+        awaited.retain(|Awaited { who, place, left }| {
+            let slot = match *who {
+                Party::Agent(agent) => &agents[agent],
+                Party::RoadUser(number) if number == road_user => other,
+                Party::RoadUser(_) => return now - left <= MAX_TIME_APART,
+            };
+            let on_way = slot.status == Status::Active && slot.route == place.route;
+            let has_come = on_way && place.passed_by(slot)[0];
+            if has_come {
+                *pet = pet.min(now - left);
+            }
+            !has_come && now - left <= MAX_TIME_APART
+        });
     }
 
     /// Notes that a vehicle or pedestrian collided with an agent or a wreck.
@@ -126,8 +207,10 @@ impl Effects {
         now: f64,
     ) {
         let count = self.road_users.len();
+        self.receive(agents, road_user, other, now);
         for (i, agent) in agents.iter().enumerate() {
             if agent.status != Status::Active {
+                self.part(i, road_user);
                 continue;
             }
             let contact = |time: f64| {
@@ -193,14 +276,9 @@ fn post_encroachment(pass: &Pass) -> f64 {
     if second[0].is_infinite() { f64::INFINITY } else { (second[0] - first[1]).max(0.0) }
 }
 
-/// Notes when the front of a vehicle reaches a conflict point on its route, and when its rear has
-/// left it. The conflict point is as long as the vehicle that crosses there is wide.
-fn note(times: &mut [f64; 2], slot: &Slot, place: f64, wide: f64, now: f64) {
-    let half = slot.size[0] / 2.0;
-    for (time, passed) in times
-        .iter_mut()
-        .zip([slot.s + half >= place - wide / 2.0, slot.s - half >= place + wide / 2.0])
-    {
+/// Notes when a vehicle's front has reached a place and when its rear has left it.
+fn note(times: &mut [f64; 2], passed: [bool; 2], now: f64) {
+    for (time, passed) in times.iter_mut().zip(passed) {
         if passed && *time == f64::INFINITY {
             *time = now;
         }
@@ -251,6 +329,61 @@ mod tests {
         {
             let found = encounter(late, 0.0);
             assert!((found - expected).abs() < 0.11 || found == expected, "{late}: {found}");
+        }
+    }
+
+    /// Which of two vehicles is gone before the other one comes.
+    #[derive(Clone, Copy)]
+    enum Gone {
+        Arrived,
+        Replaced,
+        Dismissed,
+    }
+
+    /// Returns the smallest post-encroachment time of an agent and another vehicle, of which the
+    /// second comes to the conflict point 2 s after the first. The first one is gone one second
+    /// after it has left the point.
+    fn after_it_is_gone(gone: Gone) -> f64 {
+        let mut effects = Effects::new(1, 1);
+        let agent_first = !matches!(gone, Gone::Dismissed);
+        for now in (0..100).map(|step| f64::from(step) * 0.1) {
+            let at = |late: f64| {
+                let slot = at(10.0 * (now - late), 10.0);
+                Slot { status: Status::Active, ..slot }
+            };
+            let (mut agent, mut other) =
+                if agent_first { (at(0.0), at(2.0)) } else { (at(2.0), at(0.0)) };
+            let is_gone = now > 6.3;
+            let just_gone = is_gone && now < 6.45;
+            match gone {
+                Gone::Dismissed if just_gone => effects.dismiss(0, false),
+                Gone::Replaced if just_gone => effects.renew(0),
+                Gone::Arrived if is_gone => agent = Slot::default(),
+                _ => {}
+            }
+            let new = Slot { status: Status::Active, ..Slot::default() };
+            match gone {
+                Gone::Replaced if is_gone => agent = new.clone(),
+                Gone::Dismissed if is_gone => other = new,
+                _ => {}
+            }
+            effects.receive(std::slice::from_ref(&agent), 0, &other, now);
+            if agent.status != Status::Active {
+                effects.part(0, 0);
+            } else if !is_gone {
+                effects.passes[0].look([50.0, 50.0], &agent, &other, now);
+                effects.pet = effects.pet.min(post_encroachment(&effects.passes[0]));
+            }
+        }
+        assert!(effects.awaited.is_empty(), "nobody is awaited for more than 5 s");
+        effects.pet
+    }
+
+    #[test]
+    fn post_encroachment_counts_after_the_first_vehicle_is_gone() {
+        for gone in [Gone::Arrived, Gone::Replaced, Gone::Dismissed] {
+            let found = after_it_is_gone(gone);
+            assert!((found - 1.4).abs() < 0.11, "{found}");
         }
     }
 
