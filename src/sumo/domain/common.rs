@@ -133,3 +133,23 @@ macro_rules! emissions {
         }
     };
 }
+
+/// Defines the calls that read a place beside a lane where vehicles stop.
+macro_rules! stopping_place {
+    ($handle:ident, $name:literal) => {
+        getters! { $handle, $name;
+            /// The lane beside which the place lies.
+            get_lane_id "getLaneID" VAR_LANE_ID 0x51 -> String;
+            /// Distance of the place's start from the start of the lane \[m\].
+            get_start_pos "getStartPos" VAR_POSITION 0x42 -> f64;
+            /// Distance of the place's end from the start of the lane \[m\].
+            get_end_pos "getEndPos" VAR_LANEPOSITION 0x56 -> f64;
+            /// Name.
+            get_name "getName" VAR_NAME 0x1b -> String;
+            /// Number of vehicles that are stopped there.
+            get_vehicle_count "getVehicleCount" VAR_STOP_STARTING_VEHICLES_NUMBER 0x68 -> i32;
+            /// Vehicles that are stopped there.
+            get_vehicle_ids "getVehicleIDs" VAR_STOP_STARTING_VEHICLES_IDS 0x69 -> Vec<String>;
+        }
+    };
+}

@@ -1,9 +1,6 @@
-//! The TraCI calls of fifteen kinds of objects, defined once and usable alone or in a batch: edges,
-//! views of the graphical interface, induction loops, junctions, lanes, lane area detectors,
-//! parking areas, persons, points of interest, polygons, routes, the simulation, traffic lights,
-//! vehicles and vehicle types. The other kinds of objects in SUMO 1.15, such as
-//! [`Domain::BUS_STOP`], have no module here; [`Batch::get`], [`Batch::get_with`], [`Batch::set`]
-//! and [`Batch::subscribe`] reach their variables by number.
+//! The TraCI calls of all kinds of objects in SUMO 1.15, defined once and usable alone or in a
+//! batch. [`Batch::get`], [`Batch::get_with`], [`Batch::set`] and [`Batch::subscribe`] reach what
+//! later releases have added, by number.
 //!
 //! Each kind of object has one module, with a handle whose methods have SUMO's names in snake case:
 //! `getSpeed` of a vehicle is [`Vehicle::get_speed`](vehicle::Vehicle::get_speed). A handle belongs
@@ -77,19 +74,28 @@ mod macros;
 #[macro_use]
 mod common;
 
+pub mod bus_stop;
+pub mod calibrator;
+pub mod charging_station;
 pub mod edge;
 pub mod gui;
 pub mod induction_loop;
 pub mod junction;
 pub mod lane;
 pub mod lane_area;
+pub mod mean_data;
+pub mod multi_entry_exit;
+pub mod overhead_wire;
 pub mod parking_area;
 pub mod person;
 pub mod poi;
 pub mod polygon;
+pub mod rerouter;
 pub mod route;
+pub mod route_probe;
 pub mod simulation;
 pub mod traffic_light;
+pub mod variable_speed_sign;
 pub mod vehicle;
 pub mod vehicle_type;
 
@@ -225,6 +231,12 @@ macro_rules! handles {
 }
 
 handles! {
+    /// Calls for bus stops.
+    bus_stop -> bus_stop::BusStop;
+    /// Calls for calibrators.
+    calibrator -> calibrator::Calibrator;
+    /// Calls for charging stations.
+    charging_station -> charging_station::ChargingStation;
     /// Calls for edges.
     edge -> edge::Edge;
     /// Calls for the views of the graphical interface.
@@ -237,6 +249,12 @@ handles! {
     lane -> lane::Lane;
     /// Calls for lane area detectors (E2 detectors).
     lane_area -> lane_area::LaneArea;
+    /// Calls for collectors of mean data.
+    mean_data -> mean_data::MeanData;
+    /// Calls for multi-entry multi-exit detectors (E3 detectors).
+    multi_entry_exit -> multi_entry_exit::MultiEntryExit;
+    /// Calls for segments of overhead wires.
+    overhead_wire -> overhead_wire::OverheadWire;
     /// Calls for parking areas.
     parking_area -> parking_area::ParkingArea;
     /// Calls for persons.
@@ -245,12 +263,18 @@ handles! {
     poi -> poi::Poi;
     /// Calls for polygons.
     polygon -> polygon::Polygon;
+    /// Calls for rerouters.
+    rerouter -> rerouter::Rerouter;
     /// Calls for routes.
     route -> route::Route;
+    /// Calls for route probes.
+    route_probe -> route_probe::RouteProbe;
     /// Calls for the simulation as a whole.
     simulation -> simulation::Simulation;
     /// Calls for traffic lights.
     traffic_light -> traffic_light::TrafficLight;
+    /// Calls for variable speed signs.
+    variable_speed_sign -> variable_speed_sign::VariableSpeedSign;
     /// Calls for vehicles.
     vehicle -> vehicle::Vehicle;
     /// Calls for vehicle types.

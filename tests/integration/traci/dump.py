@@ -17,7 +17,8 @@ from traci.domain import Domain  # noqa: E402
 
 # Domains whose variables are read. The variables of `gui` need a window.
 DOMAINS = (
-    "edge inductionloop junction lane lanearea parkingarea person poi polygon route simulation trafficlight vehicle "
+    "busstop calibrator chargingstation edge inductionloop junction lane lanearea meandata multientryexit overheadwire "
+    "parkingarea person poi polygon rerouter route routeprobe simulation trafficlight variablespeedsign vehicle "
     "vehicletype"
 ).split()
 

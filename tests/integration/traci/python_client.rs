@@ -248,6 +248,95 @@ fn ours(world: &World) -> BTreeMap<String, Json> {
             get_vehicle_class; get_width
         }
     }
+    let ids = client.bus_stop().get_id_list().unwrap();
+    reads! { reads, batch, bus_stop, "busstop", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_end_pos; get_lane_id; get_name; get_parameter("key"); get_parameter_with_key("key"); get_person_count;
+            get_person_ids; get_start_pos; get_vehicle_count; get_vehicle_ids
+        }
+    }
+    let ids = client.calibrator().get_id_list().unwrap();
+    reads! { reads, batch, calibrator, "calibrator", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_begin; get_edge_id; get_end; get_inserted; get_lane_id; get_parameter("key"); get_parameter_with_key("key");
+            get_passed; get_removed; get_route_id; get_route_probe_id; get_speed; get_type_id; get_vtypes;
+            get_vehs_per_hour
+        }
+    }
+    let ids = client.charging_station().get_id_list().unwrap();
+    reads! { reads, batch, charging_station, "chargingstation", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_end_pos; get_lane_id; get_name; get_parameter("key"); get_parameter_with_key("key"); get_start_pos;
+            get_vehicle_count; get_vehicle_ids
+        }
+    }
+    let ids = client.mean_data().get_id_list().unwrap();
+    reads! { reads, batch, mean_data, "meandata", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_parameter("key"); get_parameter_with_key("key")
+        }
+    }
+    let ids = client.multi_entry_exit().get_id_list().unwrap();
+    reads! { reads, batch, multi_entry_exit, "multientryexit", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_entry_lanes; get_entry_positions; get_exit_lanes; get_exit_positions; get_last_interval_mean_halts_per_vehicle;
+            get_last_interval_mean_time_loss; get_last_interval_mean_travel_time; get_last_interval_vehicle_sum;
+            get_last_step_halting_number; get_last_step_mean_speed; get_last_step_vehicle_ids;
+            get_last_step_vehicle_number; get_parameter("key"); get_parameter_with_key("key")
+        }
+    }
+    let ids = client.overhead_wire().get_id_list().unwrap();
+    reads! { reads, batch, overhead_wire, "overheadwire", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_end_pos; get_lane_id; get_name; get_parameter("key"); get_parameter_with_key("key"); get_start_pos;
+            get_vehicle_count; get_vehicle_ids
+        }
+    }
+    let ids = client.rerouter().get_id_list().unwrap();
+    reads! { reads, batch, rerouter, "rerouter", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_parameter("key"); get_parameter_with_key("key")
+        }
+    }
+    let ids = client.route_probe().get_id_list().unwrap();
+    reads! { reads, batch, route_probe, "routeprobe", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_edge_id; get_parameter("key"); get_parameter_with_key("key")
+        }
+    }
+    let ids = client.variable_speed_sign().get_id_list().unwrap();
+    reads! { reads, batch, variable_speed_sign, "variablespeedsign", ids;
+        {
+            get_id_count(); get_id_list()
+        }
+        {
+            get_lanes; get_parameter("key"); get_parameter_with_key("key")
+        }
+    }
     let mut replies = client.run(&mut batch).unwrap();
     reads.into_iter().map(|(key, take)| (key, take(&mut replies))).collect()
 }
@@ -319,7 +408,7 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
         theirs.len(),
         different.join("\n")
     );
-    // The world must be rich enough: 14 domains, with many values that are neither empty nor zero.
+    // The world must be rich enough: 23 domains, with many values that are neither empty nor zero.
     let told = |v: &&Json| {
         !matches!(v.to_string().as_str(), "[]" | "\"\"" | "0" | "null" | "\"0000000000000000\"")
     };
@@ -335,7 +424,16 @@ fn every_variable_is_read_as_pythons_client_reads_it() {
 
 /// Source files that define the calls of each domain; `macros.rs` defines the calls of several
 /// domains.
-const SOURCES: [(&str, &str); 15] = [
+const SOURCES: [(&str, &str); 24] = [
+    ("busstop", include_str!("../../../src/sumo/domain/bus_stop.rs")),
+    ("calibrator", include_str!("../../../src/sumo/domain/calibrator.rs")),
+    ("chargingstation", include_str!("../../../src/sumo/domain/charging_station.rs")),
+    ("meandata", include_str!("../../../src/sumo/domain/mean_data.rs")),
+    ("multientryexit", include_str!("../../../src/sumo/domain/multi_entry_exit.rs")),
+    ("overheadwire", include_str!("../../../src/sumo/domain/overhead_wire.rs")),
+    ("rerouter", include_str!("../../../src/sumo/domain/rerouter.rs")),
+    ("routeprobe", include_str!("../../../src/sumo/domain/route_probe.rs")),
+    ("variablespeedsign", include_str!("../../../src/sumo/domain/variable_speed_sign.rs")),
     ("edge", include_str!("../../../src/sumo/domain/edge.rs")),
     ("gui", include_str!("../../../src/sumo/domain/gui.rs")),
     ("inductionloop", include_str!("../../../src/sumo/domain/induction_loop.rs")),
@@ -432,6 +530,15 @@ fn sumo_takes_subscriptions_to_all_constants() {
     let mut told = 0;
     for (name, source) in SOURCES {
         let domain = match name {
+            "busstop" => Domain::BUS_STOP,
+            "calibrator" => Domain::CALIBRATOR,
+            "chargingstation" => Domain::CHARGING_STATION,
+            "meandata" => Domain::MEAN_DATA,
+            "multientryexit" => Domain::MULTI_ENTRY_EXIT,
+            "overheadwire" => Domain::OVERHEAD_WIRE,
+            "rerouter" => Domain::REROUTER,
+            "routeprobe" => Domain::ROUTE_PROBE,
+            "variablespeedsign" => Domain::VARIABLE_SPEED_SIGN,
             "edge" => Domain::EDGE,
             "inductionloop" => Domain::INDUCTION_LOOP,
             "junction" => Domain::JUNCTION,
@@ -457,7 +564,7 @@ fn sumo_takes_subscriptions_to_all_constants() {
             _ => String::new(),
         };
         let mut text = format!("{source} {}", shared("domain"));
-        for macro_name in ["identifiers", "type_attributes", "emissions"] {
+        for macro_name in ["identifiers", "type_attributes", "emissions", "stopping_place"] {
             if source.contains(&format!("\n{macro_name}! {{")) {
                 text.push_str(shared(macro_name));
             }

@@ -1,6 +1,6 @@
 //! A small world with many kinds of objects: a crossing with traffic lights and sidewalks, a
-//! railway with a signal, detectors, a parking area, a bus stop, a taxi, and persons who walk, wait
-//! and ride.
+//! railway with a signal and an overhead wire, detectors, a calibrator, a rerouter, a speed sign,
+//! places to stop, a taxi, and persons who walk, wait and ride.
 
 use std::{path::PathBuf, process::Command};
 
@@ -36,6 +36,16 @@ const ADDITIONAL: &str = r#"<additional>
  <busStop id="stop" lane="wc_1" startPos="60" endPos="80" name="Halt"/>
  <poi id="poi" x="10" y="20" color="0,128,255,200" type="shop" layer="3" angle="30" width="2" height="4"/>
  <poly id="poly" shape="0,0 10,0 10,10" color="255,0,0" fill="1" type="building" layer="1" lineWidth="2.5"/>
+ <route id="back" edges="ec cw"/>
+ <chargingStation id="charger" lane="cw_1" startPos="20" endPos="50" power="22000" efficiency="0.95" name="Plug"/>
+ <tractionSubstation id="power" voltage="600" currentLimit="400"/>
+ <overheadWireSegment id="wire" lane="rab_0" startPos="10" endPos="100" substationId="power"/>
+ <entryExitDetector id="gate" freq="20" file="NUL"><detEntry lane="wc_1" pos="20"/><detEntry lane="wc_2" pos="25"/><detExit lane="wc_1" pos="150"/><detExit lane="wc_2" pos="155"/></entryExitDetector>
+ <edgeData id="mean" freq="100" file="NUL"/>
+ <routeProbe id="probe" edge="rab" freq="20" file="NUL"/>
+ <calibrator id="calibrator" edge="ec" pos="20" vTypes="car" routeProbe="probe" output="NUL"><flow begin="0" end="100" type="car" route="back" vehsPerHour="700" speed="12" departLane="free"/></calibrator>
+ <rerouter id="rerouter" edges="cn" probability="0"><interval begin="500" end="600"><destProbReroute id="ce"/></interval></rerouter>
+ <variableSpeedSign id="sign" lanes="cw_0 cw_1"><step time="0" speed="10"/></variableSpeedSign>
  <railSignalConstraints id="rb"><predecessor tripId="slow" tl="rb" foes="fast" limit="2"/></railSignalConstraints>
 </additional>
 "#;

@@ -1,0 +1,7 @@
+//! Rerouters.
+
+domain! {
+    /// Calls for rerouters.
+    Rerouter, "rerouter", REROUTER
+}
+identifiers! { Rerouter, "rerouter" }
