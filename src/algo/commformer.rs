@@ -42,7 +42,8 @@
 //! `[rows, N, H]`.
 //!
 //! The graph links N slots, so that a policy serves only as many agents as it was trained with,
-//! though some may be absent. Where slots are assigned anew in each episode, as on the
+//! though some may be absent. Their links are not given to others, as in the reference, whose graph
+//! does not change while agents are gone either: where few agents are left, some hear nobody. Where slots are assigned anew in each episode, as on the
 //! intersection, no link is better than another, and the graph has nothing to learn.
 
 use schemars::JsonSchema;

@@ -30,8 +30,8 @@ pub struct Exploration {
     #[schemars(range(min = -20, max = 5))]
     pub log_std_end: f64,
     /// Environment steps over which the logarithm of the standard deviation falls linearly from
-    /// `exploration.log_std_start` to -1, after which annealing lowers it further; by default × 8/N
-    /// below 8 agents.
+    /// `exploration.log_std_start` to -1, or stays where it begins if that is lower, after which
+    /// annealing lowers it further; by default × 8/N below 8 agents.
     #[default = 250_000]
     #[schemars(range(max = 1_u64 << 50))]
     pub explore_steps: u64,
@@ -74,6 +74,9 @@ pub struct GaussianHead {
     bounded: bool,
 }
 
+/// Largest magnitude of an initial mean below a tanh, which reaches 1 nowhere.
+const MOST_MEAN: f64 = 0.999;
+
 impl GaussianHead {
     /// Creates a head for actions of these dimensions, each of which sets its initial mean and its
     /// factor on the scheduled noise.
@@ -115,8 +118,12 @@ impl GaussianHead {
         no_grad(|| self.log_std.shallow_clone().copy_(&(&self.relative + log_std)));
     }
 
-    /// Returns the head with a tanh on its means.
+    /// Returns the head with a tanh on its means, of which the initial ones stay the same.
     pub(super) fn bounded(self) -> Self {
+        no_grad(|| {
+            let bias = self.mean.bias();
+            bias.shallow_clone().copy_(&bias.clamp(-MOST_MEAN, MOST_MEAN).atanh());
+        });
         Self { bounded: true, ..self }
     }
 
@@ -214,5 +221,8 @@ mod tests {
         assert!(mean == [0.0, 0.5] && close(&log_std, [-1.5, -0.5]), "{mean:?} {log_std:?}");
         head.impose(-1.0);
         assert!(close(&forward().1, [-2.0, -1.0]), "{:?}", forward());
+        let zeros = Tensor::zeros([1, 8], (Kind::Float, Device::Cpu));
+        let mean = values(&head.bounded().forward(&zeros).0);
+        assert!(close(&mean, [0.0, 0.5]), "the tanh changes no initial mean: {mean:?}");
     }
 }

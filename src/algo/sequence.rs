@@ -4,7 +4,8 @@
 //!
 //! Absent agents are left out of the sequence. An agent reads the action of the last present agent
 //! before it, and no agent attends to an empty slot, so that agents with empty slots among them
-//! decide as they would without these slots.
+//! decide as they would without these slots. (In CommFormer with a sparsity below 1, absent agents
+//! take up some of the links.)
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};

@@ -22,17 +22,50 @@ pub struct TokenGroup {
     /// Number of tokens.
     pub count: i64,
     /// Index within a token of the feature that flags the token as present (above 0.5); `None` for
-    /// tokens that are always present.
+    /// tokens that are always present. Tokens with a flag are interchangeable; those without differ
+    /// by their place in the group.
     pub presence: Option<i64>,
 }
 
-/// The encoder. One linear layer per group maps tokens to width `d`; layer normalisation and one
+/// What tells the tokens of one kind apart, and maps them to the width of all.
+#[derive(Debug)]
+struct Embedding {
+    group: TokenGroup,
+    linear: Linear,
+    /// A vector for each place, `[count, width]`, where tokens differ by their place.
+    places: Option<Tensor>,
+}
+
+impl Embedding {
+    fn new(mut path: Path<'_>, group: TokenGroup, width: i64) -> Self {
+        let has_places = group.count > 1 && group.presence.is_none();
+        let init = Init::Orthogonal(SQRT_2);
+        let places = has_places.then(|| path.create("places", &[group.count, width], init));
+        Self { group, linear: Linear::new(path, group.width, width, init), places }
+    }
+
+    /// Returns the tokens of observations `[B, O]`, `[B, count, width]`, and which are present.
+    fn forward(&self, observation: &Tensor) -> (Tensor, Tensor) {
+        let (batch, group) = (observation.size()[0], &self.group);
+        let features = observation.narrow(1, group.offset, group.width * group.count);
+        let features = features.reshape([batch, group.count, group.width]);
+        let present = match group.presence {
+            Some(flag) => features.select(2, flag).gt(0.5),
+            None => Tensor::ones([batch, group.count], (Kind::Bool, observation.device())),
+        };
+        let tokens = self.linear.forward(&features);
+        (self.places.as_ref().map_or_else(|| tokens.shallow_clone(), |at| &tokens + at), present)
+    }
+}
+
+/// The encoder. One linear layer per group maps tokens to width `d`, and tokens that differ by
+/// their place, such as beams, each get a learned vector added; layer normalisation and one
 /// post-norm self-attention layer without feed-forward part follow. The mean over the present
 /// tokens and the ego token are concatenated and pass a linear layer, a rectifier and layer
 /// normalisation.
 #[derive(Debug)]
 pub struct Entity {
-    groups: Vec<(TokenGroup, Linear)>,
+    embeddings: Vec<Embedding>,
     embed_norm: LayerNorm,
     attention: SelfAttention,
     attention_norm: LayerNorm,
@@ -66,15 +99,9 @@ impl Entity {
             "token groups are not sound: {groups:?}"
         );
         let mut embed = path.sub("embed");
-        let groups = groups
-            .iter()
-            .enumerate()
-            .map(|(i, group)| {
-                (*group, Linear::new(embed.sub(i), group.width, width, Init::Orthogonal(SQRT_2)))
-            })
-            .collect();
+        let embedding = |(i, group): (usize, &TokenGroup)| Embedding::new(embed.sub(i), *group, width);
         Entity {
-            groups,
+            embeddings: groups.iter().enumerate().map(embedding).collect(),
             embed_norm: LayerNorm::new(path.sub("embed_norm"), width),
             attention: SelfAttention::new(
                 path.sub("attention"),
@@ -90,17 +117,8 @@ impl Entity {
     /// Maps observations `[B, O]` to embeddings `[B, H]`.
     pub fn forward(&self, observation: &Tensor) -> Tensor {
         let batch = observation.size()[0];
-        let mut tokens = Vec::with_capacity(self.groups.len());
-        let mut present = Vec::with_capacity(self.groups.len());
-        for (group, linear) in &self.groups {
-            let features = observation.narrow(1, group.offset, group.width * group.count);
-            let features = features.reshape([batch, group.count, group.width]);
-            present.push(match group.presence {
-                Some(flag) => features.select(2, flag).gt(0.5),
-                None => Tensor::ones([batch, group.count], (Kind::Bool, observation.device())),
-            });
-            tokens.push(linear.forward(&features));
-        }
+        let (tokens, present): (Vec<_>, Vec<_>) =
+            self.embeddings.iter().map(|embedding| embedding.forward(observation)).unzip();
         let present = Tensor::cat(&present, 1);
         let _ = present.select(1, 0).fill_(1.0);
         let x = self.embed_norm.forward(&Tensor::cat(&tokens, 1));
@@ -151,6 +169,26 @@ mod tests {
         let base = encode([0.1, -0.2, 0.3, 1.0, 0.5, 0.6, -0.7, 0.0, 0.0, 0.0, 0.0]);
         assert_eq!(base, encode([0.1, -0.2, 0.3, 1.0, 0.5, 0.6, -0.7, 0.0, 3.0, -9.0, 7.0]));
         assert_ne!(base, encode([0.1, -0.2, 0.3, 1.0, 0.5, 0.6, -0.7, 1.0, 3.0, -9.0, 7.0]));
+    }
+
+    /// Tokens without a flag, such as the beams of a lidar or the cells of a road, are told apart.
+    #[test]
+    fn tokens_without_a_flag_differ_by_their_place() {
+        let groups = [
+            TokenGroup { offset: 0, width: 1, count: 1, presence: None },
+            TokenGroup { offset: 1, width: 1, count: 3, presence: None },
+        ];
+        let mut params = Params::new(Device::Cpu);
+        let entity = Entity::new(params.root(&mut Seed::new(5).rng()), &groups, 8, 2, 6);
+        let at = |cell: usize| {
+            let mut observation = [0.0_f32; 4];
+            observation[1 + cell] = 1.0;
+            let found = entity.forward(&Tensor::from_slice(&observation).view([1, 4]));
+            Vec::<f32>::try_from(found.reshape([-1])).expect("numbers")
+        };
+        let [a, b, c] = [0, 1, 2].map(at);
+        let far = |a: &[f32], b: &[f32]| a.iter().zip(b).any(|(a, b)| (a - b).abs() > 0.01);
+        assert!(far(&a, &b) && far(&b, &c) && far(&a, &c), "{a:?} {b:?} {c:?}");
     }
 
     #[test]

@@ -99,9 +99,9 @@ impl Rollout {
     }
 
     /// Returns a rollout in which the agents of each world are one agent. It gets the sum of their
-    /// rewards, acts while any of them acts, and ends with the last one: it terminates, or is
-    /// truncated if an agent is truncated in that step. The result has no observations, actions or
-    /// memory.
+    /// rewards, acts while any of them acts, and ends with the last one, unless another agent acts
+    /// in the next step: it terminates, or is truncated if an agent is truncated in that step. The
+    /// result has no observations, actions or memory.
     #[must_use]
     pub fn team(&self) -> Self {
         let mut team = Self::new(Sizes {
@@ -116,7 +116,8 @@ impl Rollout {
         team.interrupted.clone_from(&self.interrupted);
         team.bootstrap_horizon = self.bootstrap_horizon;
         let rows = self.sizes.steps * self.sizes.envs;
-        for (row, active) in self.active.chunks(self.sizes.agents).enumerate() {
+        let width = self.sizes.agents;
+        for (row, active) in self.active.chunks(width).enumerate() {
             let members = || {
                 (0..self.sizes.agents)
                     .filter(|&i| active[i] > 0.0)
@@ -126,7 +127,9 @@ impl Rollout {
             team.active[row] = f32::from(u8::from(any));
             if row < rows && any {
                 team.reward[row] = members().map(|i| self.reward[i]).sum();
-                let over = members().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
+                let next = &self.active[(row + self.sizes.envs) * width..][..width];
+                let over = next.iter().all(|active| *active == 0.0)
+                    && members().all(|i| self.terminated[i] > 0.0 || self.truncated[i] > 0.0);
                 let cut = members().any(|i| self.truncated[i] > 0.0);
                 team.terminated[row] = f32::from(u8::from(over && !cut));
                 team.truncated[row] = f32::from(u8::from(over && cut));
@@ -193,6 +196,20 @@ mod tests {
             (&team.terminated[..], &team.truncated[..]),
             (&[0.0; 3][..], &[0.0, 0.0, 1.0][..])
         );
+    }
+
+    /// The team goes on where a new agent acts in the step after the last one's end.
+    #[test]
+    fn a_team_goes_on_with_a_newcomer() {
+        let mut rollout = random_rollout(2, 2, &[0], &[0.0]);
+        // The first agent acts in the first step alone, the second one from the second step on.
+        rollout.active.copy_from_slice(&[1.0, 0.0, 0.0, 1.0, 0.0, 1.0]);
+        rollout.reward.copy_from_slice(&[1.0, 0.0, 0.0, 5.0]);
+        rollout.terminated[0] = 1.0;
+        let team = rollout.team();
+        assert_eq!((&team.active[..], &team.terminated[..]), (&[1.0; 3][..], &[0.0; 2][..]));
+        let (_, returns) = team.advantages(&[0.0; 3], 1.0, 1.0);
+        assert_eq!(returns, [6.0, 5.0]);
     }
 
     /// Returns are bootstrapped at the end of the rollout and where the simulation broke off, but

@@ -9,7 +9,9 @@ use crate::rng::{self, Rng};
 /// is [`carried`](Self::carried) over, its standard deviation the share that is drawn anew.
 /// Probabilities of actions are those of this distribution. An update takes the noise of the step
 /// before as given, a(t−1) − μ(t−1) with the mean μ of the policy that acted, although that mean
-/// depends on the weights that are learned. So an action's mean is credited with the effects of
+/// depends on the weights that are learned. It is taken in units of the standard deviation, which
+/// acting and update share, but for learned deviations and updates beside a simulation: there the
+/// update's deviation is a little newer. So an action's mean is credited with the effects of
 /// later actions as well, by the correlation to the power of the steps between them, as if a
 /// deviation from it lasted. That is no unbiased gradient of the mean return; the unbiased one
 /// learned more slowly (docs/lab/decision-process.md#the-gradient-under-noise-that-lasts).

@@ -21,11 +21,9 @@ pub(super) fn update_parameters(config: &Config, progress: &Progress) -> UpdateP
     let between = |from: f64, to: f64, share: f64| from + (to - from) * share;
     let share = ramp(progress.annealed, anneal_steps(config));
     let (noise_share, rate_share) = ((1.5 * share).min(1.0), (3.0 * share - 2.0).max(0.0));
-    let exploring = between(
-        noise.log_std_start,
-        Exploration::LOG_STD_EXPLORED,
-        ramp(progress.step, noise.explore_steps),
-    );
+    let explored = Exploration::LOG_STD_EXPLORED.min(noise.log_std_start);
+    let exploring =
+        between(noise.log_std_start, explored, ramp(progress.step, noise.explore_steps));
     let log_std = between(exploring, noise.log_std_end.min(exploring), noise_share);
     // A step of the same size changes a policy with less noise more.
     let follows = ppo.learning_rate_follows_noise && noise.mode == NoiseMode::Schedule;
@@ -308,8 +306,11 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_run_ends_annealed(seed: u64, anneal_steps in 1u64..2000, steps in 10u64..3000) {
+        fn a_run_ends_annealed(
+            seed: u64, anneal_steps in 1u64..2000, steps in 10u64..3000, log_std_start in -3.0..0.5,
+        ) {
             let mut config = config();
+            config.learner.exploration.log_std_start = log_std_start;
             (config.steps, config.train.anneal_steps) = (steps, anneal_steps);
             let success = |p: &Progress| f64::from((p.step.wrapping_mul(seed | 1) >> 7) as u8) / 255.0;
             let mut last = f64::INFINITY;
