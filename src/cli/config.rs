@@ -4,12 +4,14 @@
 
 use std::path::PathBuf;
 
-use anyhow::Context as _;
+use anyhow::{Context as _, bail};
 use toml::Value;
 
 use crate::algo;
 use crate::config::{self, Config, Document, Layers, PRESETS, PROFILES, Profile};
 use crate::env::NamedEnvironment;
+
+use crate::train::RunDir;
 
 use super::Verdict;
 
@@ -122,6 +124,13 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     } else {
         let layers = args.settings.layers(Profile::of_this_machine())?;
         let resolution = layers.resolve()?;
+        if let Some(why) = resolution.config.cannot_be_trained() {
+            bail!(why);
+        }
+        let from = &resolution.config.init_from;
+        if !from.as_os_str().is_empty() && !RunDir::checkpoint(from).exists() {
+            bail!("init_from: there is no policy in `{}`", from.display());
+        }
         for line in config::overruled(&layers, &resolution.origins) {
             say!("{line}");
         }

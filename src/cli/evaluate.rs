@@ -143,13 +143,18 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             );
         }
     }
-    for (flag, path) in [("out", &args.out), ("record", &args.record)] {
-        if let Some(path) = path.as_ref().filter(|path| record::is_other_than_json(path)) {
-            bail!(
-                "--{flag} {}: the file exists and is not JSON, so that it is no earlier result; choose another file",
-                path.display()
-            );
-        }
+    if let Some(path) = args.out.as_ref().filter(|path| record::is_other_than::<Earlier>(path)) {
+        bail!(
+            "--out {}: the file exists and is no earlier result of `iwol evaluate`; choose another file",
+            path.display()
+        );
+    }
+    let recording = args.record.as_ref();
+    if let Some(path) = recording.filter(|path| record::is_other_than::<EarlierRecording>(path)) {
+        bail!(
+            "--record {}: the file exists and is no earlier recording; choose another file",
+            path.display()
+        );
     }
     if let (Some(path), Some(record)) = (&args.out, &args.record)
         && record::is_same_file(path, record)
@@ -160,6 +165,8 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     let program = Program::current();
     let mut rows = Vec::new();
     let mut recorded = None;
+    // What ended the work before all policies were evaluated.
+    let mut end = None;
     for (number, (name, policy)) in policies.iter().enumerate() {
         let bar = ProgressBar::new(args.episodes);
         bar.set_style(
@@ -182,15 +189,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
         };
         let evaluation = arena
             .evaluate(policy, args.episodes, seed, observer)
-            .with_context(|| format!("the evaluation of {name} failed"))?;
+            .with_context(|| format!("the evaluation of {name} failed"));
         bar.finish_and_clear();
+        let evaluation = match evaluation {
+            Ok(evaluation) => evaluation,
+            Err(error) => {
+                end = Some(Err(error));
+                break;
+            }
+        };
         if stop.load(Ordering::Relaxed) {
             say!(
                 "interrupted after {} of {} episodes of {name}",
                 evaluation.episodes.len(),
                 args.episodes
             );
-            return Ok(Verdict::Interrupted);
+            end = Some(Ok(Verdict::Interrupted));
+            break;
         }
         if let (Some(recorder), Some(path)) = (recorder, &args.record) {
             let record =
@@ -227,6 +242,9 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
             failed_episodes: evaluation.failed_episodes(),
         });
     }
+    if let Some(end) = end.take_if(|_| rows.is_empty()) {
+        return end;
+    }
     let json = match &rows[..] {
         [row] => serde_json::to_string(row)?,
         rows => serde_json::to_string(rows)?,
@@ -243,5 +261,23 @@ pub(super) fn run(args: &Args) -> anyhow::Result<Verdict> {
     if let Some((recording, path)) = recorded {
         recording.save(path)?;
     }
-    Ok(Verdict::Good)
+    end.unwrap_or(Ok(Verdict::Good))
+}
+
+/// What `--out` may replace.
+#[derive(serde::Deserialize)]
+#[serde(untagged)]
+#[allow(dead_code, reason = "only whether a file can be read as one matters")]
+enum Earlier {
+    One(Box<EvaluationResult>),
+    Several(Vec<EvaluationResult>),
+}
+
+/// What `--record` may replace: the parts of a recording of any version.
+#[derive(serde::Deserialize)]
+#[allow(dead_code, reason = "only whether a file can be read as one matters")]
+struct EarlierRecording {
+    format: u32,
+    columns: serde::de::IgnoredAny,
+    status: serde::de::IgnoredAny,
 }

@@ -176,6 +176,12 @@ impl Config {
         if let Err(unfit) = algo::check_channel(&self.algorithm, &self.channel) {
             return Some(unfit.to_string());
         }
+        let (fewest, agents) = (self.train.fewest_agents, self.agents);
+        if fewest > agents {
+            return Some(format!(
+                "train.fewest_agents is {fewest}; allowed: 0 to {agents}, the number of agents"
+            ));
+        }
         if let Some(named) = NamedEnvironment::find(&self.environment) {
             let unfit = algo::check_actions(&self.algorithm, named.environment().spec()).err();
             if let Some(unfit) = unfit {

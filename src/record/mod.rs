@@ -94,14 +94,21 @@ pub fn check_writable(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
         return Err(Error::io("write", path)(io::ErrorKind::IsADirectory.into()));
     }
+    match path.symlink_metadata() {
+        // For instance, its name is too long.
+        Err(error) if error.kind() != io::ErrorKind::NotFound => {
+            return Err(Error::io("write", path)(error));
+        }
+        _ => {}
+    }
     if is_stream(path) { Ok(()) } else { temporary_beside(path).map(drop) }
 }
 
-/// Returns whether `path` is a file with something else than JSON in it.
-pub fn is_other_than_json(path: &Path) -> bool {
+/// Returns whether `path` is a file with something else in it than the JSON form of a `T`.
+pub fn is_other_than<T: serde::de::DeserializeOwned>(path: &Path) -> bool {
     let is_empty = || path.metadata().is_ok_and(|found| found.len() == 0);
     let Ok(file) = File::open(path) else { return false };
-    let read = || serde_json::from_reader::<_, serde::de::IgnoredAny>(io::BufReader::new(file));
+    let read = || serde_json::from_reader::<_, T>(io::BufReader::new(file));
     path.is_file() && !is_empty() && read().is_err()
 }
 
@@ -196,19 +203,19 @@ mod tests {
 
     use super::*;
 
-    /// Results of one policy are an object, those of several a list. What a user has written is
-    /// neither, even where it begins alike.
     #[test]
-    fn results_are_told_from_other_files() {
+    fn files_of_one_kind_are_told_from_others() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("a");
         let other = |text: &str| {
             std::fs::write(&file, text).unwrap();
-            is_other_than_json(&file)
+            is_other_than::<Vec<u32>>(&file)
         };
-        assert!(!other("{\"episodes\": 1}") && !other("[{\"episodes\": 1}]\n") && !other(""));
-        assert!(other("[grid]\nseed = [1]") && other("<scenario/>") && other("steps = 1"));
-        assert!(!is_other_than_json(&folder.path().join("none")));
+        assert!(!other("[1, 2]\n") && !other(""));
+        assert!(other("{\"a\": 1}") && other("[grid]\nseed = [1]") && other("<scenario/>"));
+        assert!(!is_other_than::<Vec<u32>>(&folder.path().join("none")));
+        let long = folder.path().join("a".repeat(300));
+        assert!(check_writable(&long).is_err_and(|error| error.to_string().contains("aaa")));
     }
 
     fn names(folder: &Path) -> Vec<String> {

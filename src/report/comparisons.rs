@@ -33,7 +33,7 @@ pub(super) fn add(document: &mut Document, sweep: &Sweep) -> Result<(), Error> {
     if with_margin {
         document.text(
             "A difference is *within* the margin that the sweep file names if its whole interval is, and *beyond* it if none of its \
-             interval is; otherwise the runs leave it open.",
+             interval is; otherwise, and with fewer than five runs in a group, the runs leave it open.",
         );
     }
     let table = rows.iter().zip(corrected).map(|(row, corrected)| {
@@ -69,6 +69,11 @@ fn against(margin: f64, difference: Estimate) -> &'static str {
     }
 }
 
+/// Number of runs in each group from which on the interval of the bootstrap is wide enough for a
+/// verdict: where the difference is the margin, about one verdict in forty is "within" with five runs
+/// in each of two groups, and one in ten with three.
+const RUNS_FOR_MARGIN: usize = 5;
+
 fn chance(p: f64) -> String {
     if p < 0.001 { "< 0.001".to_owned() } else { format!("{p:.3}") }
 }
@@ -103,7 +108,11 @@ impl Row<'_> {
     /// Returns whether the difference is within the margin, if there is one.
     fn against_margin(&self) -> String {
         let Some(margin) = self.contrast.margin else { return String::new() };
-        let verdict = self.found.map_or("–", |found| against(margin, found.difference));
+        let verdict = match self.found {
+            None => "–",
+            Some(_) if self.counts.iter().any(|group| group.finished < RUNS_FOR_MARGIN) => "open",
+            Some(found) => against(margin, found.difference),
+        };
         format!("{verdict} ±{margin}")
     }
 
@@ -125,11 +134,15 @@ fn row<'a>(sweep: &'a Sweep, named: &'a Contrast) -> Result<Row<'a>, Error> {
     let evaluate = named.evaluation(&sweep.evaluations).expect("checked with the file");
     let metric = named.metric().expect("checked with the file");
     let (mut groups, mut counts) = (Vec::new(), Vec::new());
+    let of = |when| named.cells(&sweep.cells, when, Some(evaluate));
+    // Curves of runs with different limits are compared up to the largest.
+    let longest = named.groups().flat_map(|(_, when)| of(when)).map(|cell| cell.config.steps);
+    let end = longest.max().unwrap_or(0) as f64;
     for (weight, when) in named.groups() {
-        let cells: Vec<&Cell> = named.cells(&sweep.cells, when, Some(evaluate)).collect();
+        let cells: Vec<&Cell> = of(when).collect();
         let found = match named.of {
             Compared::Evaluation => evaluated(&cells, named, evaluate, metric)?,
-            Compared::Training => areas(&cells, metric)?,
+            Compared::Training => areas(&cells, metric, end)?,
         };
         let finished = found.len();
         let values: Vec<f64> = found.into_iter().flatten().collect();
@@ -159,14 +172,14 @@ fn evaluated(
     Ok(values)
 }
 
-/// Returns the areas under the curves of the cells that have been trained; `None` of those without
-/// a curve.
-fn areas(cells: &[&Cell], metric: &Metric) -> Result<Vec<Option<f64>>, Error> {
+/// Returns the areas under the curves of the cells that have been trained, up to step `end`; `None`
+/// of those without a curve.
+fn areas(cells: &[&Cell], metric: &Metric, end: f64) -> Result<Vec<Option<f64>>, Error> {
     let mut values = Vec::new();
     for cell in cells.iter().filter(|cell| cell.trained().is_some()) {
         let lines = curves::read(&cell.run().metrics())?;
         let curve = curves::curve(&lines, Along::Steps, metric, curves::Line::validation);
-        values.push(curves::mean_height(&curve, cell.config.steps as f64));
+        values.push(curves::mean_height(&curve, end));
     }
     Ok(values)
 }

@@ -188,10 +188,14 @@ mod tests {
         // The first agent terminates at once; the second is truncated in the last step.
         rollout.reward.copy_from_slice(&[1.0, 2.0, 9.0, 3.0, 9.0, 4.0]);
         (rollout.terminated[0], rollout.truncated[5]) = (1.0, 1.0);
-        (rollout.active[2], rollout.active[4]) = (0.0, 0.0);
+        // Nobody is active in the row after an episode's end.
+        for row in [2, 4, 6, 7] {
+            rollout.active[row] = 0.0;
+        }
         let team = rollout.team();
         assert_eq!(team.sizes.agents, 1);
-        assert_eq!((&team.reward[..], &team.active[..]), (&[3.0, 3.0, 4.0][..], &[1.0; 4][..]));
+        let active = [1.0, 1.0, 1.0, 0.0];
+        assert_eq!((&team.reward[..], &team.active[..]), (&[3.0, 3.0, 4.0][..], &active[..]));
         assert_eq!(
             (&team.terminated[..], &team.truncated[..]),
             (&[0.0; 3][..], &[0.0, 0.0, 1.0][..])

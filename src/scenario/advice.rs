@@ -234,10 +234,9 @@ impl Adviser<'_, '_, '_> {
         let (steps, horizon) =
             (time / self.scenario.control.interval, f64::from(self.scenario.termination.horizon));
         let id = shorten(id);
-        if self.scenario.agents.come_from_files()
-            && (PATIENCE * steps..PATIENCE_OF_FILES * steps).contains(&horizon)
-        {
-            let need = (PATIENCE_OF_FILES * steps).ceil();
+        let from_files = self.scenario.agents.come_from_files();
+        let need = (PATIENCE_OF_FILES * steps).ceil();
+        if from_files && (PATIENCE * steps..=need).contains(&horizon) {
             let message = format!(
                 "agents on route `{id}` never count in results: one counts if it departs more than {need} steps before the horizon of {horizon}"
             );
@@ -252,7 +251,7 @@ impl Adviser<'_, '_, '_> {
         );
         let hint = format!(
             "set the horizon to {:.0} steps or more, because vehicles have to wait",
-            (4.0 * steps).ceil()
+            if from_files { 2.0 * need } else { (4.0 * steps).ceil() }
         );
         let finding = self.warning("horizon", ["termination", "horizon"], message, &hint);
         let severity = if steps > horizon { Severity::Error } else { Severity::Warning };

@@ -282,14 +282,22 @@ impl Cell {
             }
             return Ok(Some(Job { arguments, what: "train".to_owned() }));
         }
-        Ok(self.missing(evaluations).next().map(|(evaluate, combination)| {
+        let Some((evaluate, combination)) = self.missing(evaluations).next() else {
+            return Ok(None);
+        };
+        let out = self.result(evaluate, &combination);
+        if matches!(self.evaluation(evaluate, &combination), Err(Error::Damaged { .. })) {
+            // It would not be replaced, because it is no result.
+            std::fs::remove_file(&out).map_err(record::Error::io("remove", &out))?;
+        }
+        Ok(Some({
             let checkpoint = self.folder.join("checkpoints").join(evaluate.checkpoint.file());
             let mut arguments = vec!["evaluate".to_owned(), checkpoint.display().to_string()];
             arguments.extend(["--episodes".to_owned(), evaluate.episodes.to_string()]);
             for set in evaluate.sets(&combination) {
                 arguments.extend(["--set".to_owned(), set]);
             }
-            let out = self.result(evaluate, &combination).display().to_string();
+            let out = out.display().to_string();
             arguments.extend(["--out".to_owned(), out]);
             let what = format!("evaluate {} {}", evaluate.name, label(&combination));
             Job { arguments, what: what.trim_end().to_owned() }

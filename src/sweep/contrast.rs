@@ -142,8 +142,24 @@ impl Contrast {
                 listed(plus)
             ));
         }
-        for (_, when) in self.groups() {
+        let groups: Vec<&Table> = self.groups().map(|(_, when)| when).collect();
+        for (i, when) in groups.iter().enumerate() {
+            let shared = groups[..i].iter().flat_map(|other| ids(other));
+            if let Some(id) = shared.into_iter().find(|id| ids(when).contains(id)) {
+                return Err(format!(
+                    "[[contrast]] `{}`: cell {id} is in two of its groups, which must be of different runs",
+                    self.title
+                ));
+            }
             let chosen: Vec<&Cell> = self.cells(cells, when, evaluate).collect();
+            if let [only] = chosen[..] {
+                return Err(format!(
+                    "[[contrast]] `{}`: only cell {} has {}; a group needs two runs or more",
+                    self.title,
+                    only.id,
+                    listed(when)
+                ));
+            }
             let Some(first) = chosen.first() else {
                 let title = &self.title;
                 return Err(format!(

@@ -159,13 +159,15 @@ impl File {
             }
             for (what, key) in [("x", &evaluate.x), ("panels", &evaluate.panels)] {
                 let Some(key) = key else { continue };
+                // The seeds of a place are one row.
                 let several = |table: &Table| {
-                    table.get(key).and_then(Value::as_array).is_some_and(|all| all.len() > 1)
+                    let count = table.get(key).and_then(Value::as_array).map_or(0, Vec::len);
+                    count > 1 && key != "seed"
                 };
                 if !several(&self.grid) && !several(&evaluate.grid) || evaluate.x == evaluate.panels
                 {
                     return Err(format!(
-                        "[[evaluate]] `{name}`: {what} = \"{key}\" must be a key with several values in a grid, and x and panels must differ"
+                        "[[evaluate]] `{name}`: {what} = \"{key}\" must be a key with several values in a grid, other than seed, and x and panels must differ"
                     ));
                 }
             }
@@ -224,6 +226,11 @@ impl File {
                     "[[reference]] `{label}`: give as many values of x as of y; x has {}, y has {}",
                     x.len(),
                     y.len()
+                ));
+            }
+            if values.is_empty() && !x.is_empty() {
+                return Err(format!(
+                    "[[reference]] `{label}`: the evaluation has no horizontal axis; leave x out"
                 ));
             }
             if let Some(other) = x.iter().find(|x| !values.iter().any(|value| same(value, x))) {

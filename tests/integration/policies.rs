@@ -178,7 +178,7 @@ fn a_policy_is_trained_exported_evaluated_and_gone_on_from() {
             ),
             (
                 refused(iwol(&["evaluate", &small, "--out"]).arg(at("a.toml"))),
-                "the file exists and is not JSON",
+                "the file exists and is no earlier",
             ),
             (
                 refused(&mut iwol(&["evaluate", &small, "--set", "network.hidden=16"])),

@@ -47,6 +47,26 @@ const PATIENCE: f64 = 4.0;
 const WAITING: f64 = 60.0;
 /// Streams and vehicles of each that agents observe, in crossings of several lanes.
 const STREAMS: usize = 6;
+/// Elements of additional files that change no traffic, and programs of signals, which are taken.
+const STILL: [&str; 17] = [
+    "tlLogic",
+    "e1Detector",
+    "inductionLoop",
+    "e2Detector",
+    "laneAreaDetector",
+    "e3Detector",
+    "entryExitDetector",
+    "instantInductionLoop",
+    "edgeData",
+    "laneData",
+    "vTypeProbe",
+    "timedEvent",
+    "poi",
+    "poly",
+    "polygon",
+    "location",
+    "param",
+];
 /// Largest number of names in a note.
 const NAMED: usize = 6;
 
@@ -82,7 +102,8 @@ pub fn import_configuration(
         let configuration = Configuration::read(configuration)?;
         let mut notes = Vec::new();
         if !configuration.others.is_empty() {
-            notes.push(format!("options without effect here: {}", list(&configuration.others)));
+            let others = configuration.others.join(", ");
+            notes.push(format!("options without effect here: {others}"));
         }
         if !configuration.outputs.is_empty() {
             let outputs = list(&configuration.outputs);
@@ -186,11 +207,10 @@ struct Copies {
 /// become part of the net.
 fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result<Copies, Error> {
     let mut copies = Copies { files: Vec::new(), originals: Vec::new(), programs: Vec::new() };
-    let mut empty = Vec::new();
     for (number, path) in files.iter().enumerate() {
         let text = demand::text(path).map_err(of_file)?;
         let document = document(&text, path)?;
-        let mut elements = document.root_element().children().filter(Node::is_element);
+        let elements = document.root_element().children().filter(Node::is_element);
         let programs = elements.clone().filter(|node| node.has_tag_name("tlLogic"));
         let (mut rest, mut end) = (String::new(), 0);
         for (node, id) in programs.filter_map(|node| Some((node, node.attribute("id")?))) {
@@ -200,22 +220,22 @@ fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result
         }
         rest += &text[end..];
         let file = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if !elements.any(|node| demand::is_taken(node.tag_name().name())) {
-            if end == 0 {
-                empty.push(file);
-            }
+        let names = || elements.clone().map(|node| node.tag_name().name());
+        if !names().any(demand::is_taken) {
+            notes.extend(without_demand(&file, names(), end > 0));
             continue;
         }
         // The scenario lists files by spaces.
-        let mut name = file.replace(char::is_whitespace, "_");
-        if files[..number].iter().any(|other| other.file_name() == path.file_name()) {
-            name = format!("{number}_{name}");
-        }
+        let name = file.replace(char::is_whitespace, "_");
         // What is left of a file without its programs is not compressed.
-        let copy = layout.net.with_file_name(match name.strip_suffix(".gz") {
+        let name = match name.strip_suffix(".gz") {
             Some(plain) if end > 0 => plain,
             _ => &name,
-        });
+        };
+        let mut copy = layout.net.with_file_name(name);
+        if copies.files.contains(&copy) {
+            copy = layout.net.with_file_name(format!("{number}_{name}"));
+        }
         if end == 0 {
             fs::copy(path, &copy).map_err(|source| Error::Read { path: path.clone(), source })?;
         } else {
@@ -224,10 +244,31 @@ fn copies(files: &[PathBuf], layout: &Layout, notes: &mut Vec<String>) -> Result
         copies.files.push(copy);
         copies.originals.push(path.clone());
     }
-    if !empty.is_empty() {
-        notes.push(format!("files without vehicles, types and routes: {}", list(&empty)));
-    }
     Ok(copies)
+}
+
+/// Returns a note about a file of which no element is taken but programs of signals (`programs`);
+/// `None` if it has nothing else that matters. `names` are those of its elements.
+fn without_demand<'a>(
+    file: &str,
+    names: impl Iterator<Item = &'a str>,
+    programs: bool,
+) -> Option<String> {
+    let mut counts = BTreeMap::<&str, usize>::new();
+    for name in names.filter(|name| !STILL.contains(name)) {
+        *counts.entry(name).or_default() += 1;
+    }
+    let lost: Vec<String> = counts
+        .iter()
+        .map(|(name, count)| format!("<{name}> ({})", counted(*count, "time")))
+        .collect();
+    match () {
+        () if !lost.is_empty() => {
+            Some(format!("{file} has no effect here, with all that it has: {}", lost.join(", ")))
+        }
+        () if programs => None,
+        () => Some(format!("{file} has no vehicles, types and routes")),
+    }
 }
 
 /// Returns the scenario of a configuration, whose net it copies.
@@ -250,8 +291,12 @@ fn draft(
     let begin = configuration.begin;
     let span = configuration.end.map_or(f64::INFINITY, |end| end - begin);
     let first = demand.plan(&net, begin, span.min(EPISODE))?;
-    let longest = first.routes.iter().map(|laid| time(&net, &laid.path)).fold(0.0, f64::max);
-    let duration = (PATIENCE * longest).max(EPISODE).min(span);
+    let speed = limit(&net, &first).min(SPEED);
+    let alone = first.routes.iter().map(|laid| time(&net, &laid.path, speed));
+    let longest = alone.fold(0.0, f64::max);
+    // An agent counts if this much of the episode is left when it departs.
+    let needed = PATIENCE * longest;
+    let duration = (2.0 * needed).max(EPISODE).min(span);
     let plan = demand.plan(&net, begin, duration)?;
     if plan.wanted == 0 {
         let why = match demand.first_departure() {
@@ -263,7 +308,18 @@ fn draft(
         };
         return Err(Error::NoDemand { path: configuration.path.clone(), why });
     }
-    let step = configuration.step.filter(|step| *step <= LONGEST_STEP).unwrap_or(STEP);
+    if plan.sources.is_empty() {
+        let why = plan.warning().map_or_else(String::new, |(why, _)| why);
+        return Err(Error::NoDemand { path: configuration.path.clone(), why });
+    }
+    if duration <= needed {
+        notes.push(format!(
+            "agents on the longest routes never count in results: the configuration ends after {duration:.0} s, and one counts if it departs more than {needed:.0} s before the end; raise horizon of <termination>"
+        ));
+    }
+    // SUMO's clock has milliseconds.
+    let given = configuration.step.map(|step| (1000.0 * step).round() / 1000.0);
+    let step = given.filter(|step| (0.001..=LONGEST_STEP).contains(step)).unwrap_or(STEP);
     if configuration.step != Some(step) {
         let given = configuration.step.map_or("SUMO's 1 s".into(), |step| format!("{step} s"));
         notes.push(format!("steps of {step} s instead of {given}, for agents that brake"));
@@ -281,7 +337,7 @@ fn draft(
         paths: Vec::new(),
         rows: Vec::new(),
         agents: 1,
-        speed: limit(&net, &plan).min(SPEED),
+        speed,
         steers: Steers::No,
     };
     let mut scenario = layout.scenario(site)?;
@@ -330,10 +386,12 @@ fn cars(demand: &Demand, plan: &DemandPlan) -> (Vec<String>, Vec<String>) {
     (cars.into_iter().map(|kind| demand.types[kind].id.clone()).collect(), Vec::new())
 }
 
-/// Returns the time of a path at the speed limits \[s\].
-fn time(net: &Net, path: &LanePath) -> f64 {
-    let stretch =
-        |(lane, from, to): (usize, f64, f64)| (to - from) / net.lanes[lane].speed.max(0.1);
+/// Returns the time of a path at the speed limits, of a vehicle that is not faster than `most`
+/// (m/s) \[s\].
+fn time(net: &Net, path: &LanePath, most: f64) -> f64 {
+    let stretch = |(lane, from, to): (usize, f64, f64)| {
+        (to - from) / net.lanes[lane].speed.min(most).max(0.1)
+    };
     path.lane_stretches().map(stretch).sum()
 }
 
@@ -355,7 +413,7 @@ fn on_road(net: &Net, demand: &Demand, plan: &DemandPlan, duration: f64) -> u32 
         let stay = |way: usize| {
             let departure = &plan.departures[way];
             let stops: f64 = departure.stops.iter().map(|stop| stop.duration).sum();
-            PATIENCE * time(net, &plan.routes[departure.route].path) + WAITING + stops
+            PATIENCE * time(net, &plan.routes[departure.route].path, f64::INFINITY) + WAITING + stops
         };
         let (sum, weights) =
             ways.fold((0.0, 0.0), |(sum, all), (way, w)| (sum + w * stay(way), all + w));

@@ -299,14 +299,22 @@ pub(super) fn beside(net: &Path, ending: &str) -> PathBuf {
     net.with_file_name(format!("{}.{ending}", name.strip_suffix(".net.xml").unwrap_or(&name)))
 }
 
+/// Comment of the route files that this program writes.
+const FOR_SUMO_ALONE: &str =
+    "The places and routes of the scenario, for SUMO alone: `iwol` does not read this file.";
+
 /// Writes the vehicles that SUMO shows without this program, if there is a `.sumocfg` beside the
-/// net.
+/// net. A route file that this program has not written stays as it is.
 pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> {
-    let config = beside(&net.file, "sumocfg");
-    if !config.exists() {
+    let (config, routes) = (beside(&net.file, "sumocfg"), beside(&net.file, "rou.xml"));
+    let is_foreign = || match fs::read(&routes) {
+        Ok(bytes) => !String::from_utf8_lossy(&bytes).contains(FOR_SUMO_ALONE),
+        Err(error) => error.kind() != std::io::ErrorKind::NotFound,
+    };
+    if !config.exists() || is_foreign() {
         return Ok(());
     }
-    Ok(write_atomic(&beside(&net.file, "rou.xml"), traffic(scenario, net).as_bytes())?)
+    Ok(write_atomic(&routes, traffic(scenario, net).as_bytes())?)
 }
 
 /// Returns a route file for SUMO without this program: one vehicle at each spawn place, on one of
@@ -314,9 +322,7 @@ pub(super) fn show_traffic(scenario: &Scenario, net: &Net) -> Result<(), Error> 
 fn traffic(scenario: &Scenario, net: &Net) -> String {
     let (v, c) = (scenario.vehicle, &scenario.control);
     let mut xml = Writer::new();
-    xml.comment(
-        "The places and routes of the scenario, for SUMO alone: `iwol` does not read this file.",
-    );
+    xml.comment(FOR_SUMO_ALONE);
     xml.open("routes").open("vType").attribute("id", "agent").attribute("length", v.length);
     xml.attribute("width", v.width).attribute("maxSpeed", v.max_speed).attribute("accel", c.accel);
     let decel = c.brake.last().map_or(c.accel, |point| point.1).min(4.5);

@@ -86,7 +86,7 @@ pub fn import(root: &Path, name: &str, map: Map, choices: &Choices) -> Result<Im
         let (source, warnings) = match map {
             Map::Osm(file) => {
                 copy(file, &layout.file("osm.xml"))?;
-                let left = choices.left_hand || drives_left(file, &mut notes);
+                let left = choices.left_hand || drives_left(file, &mut notes)?;
                 let lefthand = left.then_some(("lefthand", "true"));
                 let options: Vec<_> = OSM_OPTIONS.into_iter().chain(lefthand).collect();
                 layout.configure(&[("osm-files", format!("{name}.osm.xml"))], &options)?;
@@ -160,8 +160,9 @@ pub fn import(root: &Path, name: &str, map: Map, choices: &Choices) -> Result<Im
 
 /// Returns whether most roads of an extract of OpenStreetMap that say on which side vehicles drive
 /// say that it is the left. Adds a note on what the extract says.
-fn drives_left(file: &Path, notes: &mut Vec<String>) -> bool {
-    let text = fs::read(file).map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+fn drives_left(file: &Path, notes: &mut Vec<String>) -> Result<bool, Error> {
+    let text = crate::markup::read(file, u64::MAX - 1);
+    let text = text.map_err(|source| Error::Read { path: file.into(), source })?;
     let text = text.unwrap_or_default();
     let mut sides = [0; 2];
     for (at, _) in text.match_indices("driving_side") {
@@ -180,7 +181,7 @@ fn drives_left(file: &Path, notes: &mut Vec<String>) -> bool {
                 .into(),
         );
     }
-    left
+    Ok(left)
 }
 
 /// Returns the text of a net that declares no other encoding than its own.

@@ -60,7 +60,9 @@ pub fn build(scenario: &Path, all: bool) -> Result<Vec<Built>, Error> {
             State::UpToDate if !all => Vec::new(),
             _ => convert(&net.file)?,
         };
-        show_traffic(&scenario, net)?;
+        if before != State::NoSources {
+            show_traffic(&scenario, net)?;
+        }
         built.push(Built { net: net.file.clone(), before, warnings });
     }
     Ok(built)

@@ -296,6 +296,7 @@ impl Demand {
         let types = self.types_of(reader, node, walks)?;
         let stops = self.stops(reader, node)?;
         let reason = not_taken(node, known).or(stops.as_ref().err().cloned());
+        let reason = reason.or_else(|| half_way(node, stops.as_ref().map_or(0, Vec::len)));
         let stops = stops.unwrap_or_default();
         let routes = match &reason {
             None => self.itinerary(reader, node, id, walks, &stops)?,
@@ -459,6 +460,15 @@ fn not_taken(node: Node, known: &table::Known) -> Option<String> {
     let walk = || walks().find_map(|walk| table::left_out(walk, &table::WALK));
     let second = || walks().nth(1).map(|_| format!("it has several walks: {}", table::ONE_WALK));
     table::left_out(node, known).or_else(walk).or_else(second)
+}
+
+/// Returns why a vehicle, trip or flow with an edge at one end of its way alone is left out; `None`
+/// if it has both, or neither, or one of its `stops` instead.
+fn half_way(node: Node, stops: usize) -> Option<String> {
+    let has = |keys: [&str; 2]| keys.iter().any(|key| node.has_attribute(*key));
+    let (from, to) = (has(["from", "fromJunction"]), has(["to", "toJunction"]));
+    let missing = if from { "to" } else { "from" };
+    (from != to && stops == 0).then(|| format!("it has no `{missing}`: give both ends of its way"))
 }
 
 fn repeat<T: Clone>(list: &[T], times: usize) -> Vec<T> {

@@ -9,7 +9,7 @@ use roxmltree::Node;
 use super::super::Error;
 use super::super::reader::Reader;
 use super::Demand;
-use crate::sumo::net::shorten;
+use crate::sumo::net::{nearest, shorten};
 
 /// Returns the value of a truth value in SUMO's notation.
 pub(super) fn flag(text: &str) -> Option<bool> {
@@ -308,8 +308,8 @@ fn is_void(node: Node, name: &str) -> bool {
 }
 
 impl Demand {
-    /// Checks that an element has only the attributes and child elements that the table has for
-    /// it, and counts those without effect.
+    /// Checks that an element has only the child elements that the table has for it and no misspelt
+    /// attributes, and counts the attributes without effect, unknown ones included.
     pub(super) fn expect(
         &mut self,
         reader: &Reader,
@@ -323,11 +323,20 @@ impl Demand {
                 self.count(reader, node, name);
             }
         }
-        let names = |texts: [&'static str; 2]| texts.into_iter().flat_map(str::split_whitespace);
-        let void = known.left_out.iter().flat_map(|entry| entry.0.split_whitespace());
-        let void = void.filter(|name| node.has_attribute(*name));
-        let valid: Vec<_> = names([known.taken, known.idle]).chain(void).collect();
-        reader.expect_attributes(node, &valid)?;
+        let left_out = known.left_out.iter().map(|entry| entry.0);
+        let all: Vec<&'static str> =
+            [known.taken, known.idle].into_iter().chain(left_out).collect();
+        let valid: Vec<_> = all.iter().flat_map(|list| list.split_whitespace()).collect();
+        // Something else than it says would happen with a misspelt attribute.
+        let is_misspelt = |a: &roxmltree::Attribute| {
+            a.namespace().is_none()
+                && !valid.contains(&a.name())
+                && nearest(a.name(), valid.iter().copied()).is_some()
+        };
+        if node.attributes().any(|attribute| is_misspelt(&attribute)) {
+            return reader.expect_attributes(node, &valid);
+        }
+        self.count_unknown(reader, node, &all);
         self.expect_children(reader, node, known)
     }
 
@@ -350,6 +359,16 @@ impl Demand {
         let valid: Vec<_> =
             all.into_iter().flat_map(str::split_whitespace).chain(left_out).collect();
         reader.expect_children(node, &valid, false)
+    }
+
+    /// Counts the attributes that none of these lists has, which SUMO does not know either.
+    pub(super) fn count_unknown(&mut self, reader: &Reader, node: Node, lists: &[&str]) {
+        for attribute in node.attributes().filter(|a| a.namespace().is_none()) {
+            let name = attribute.name();
+            if !lists.iter().any(|list| list.split_whitespace().any(|known| known == name)) {
+                self.count(reader, node, name);
+            }
+        }
     }
 
     /// Counts an attribute without effect.

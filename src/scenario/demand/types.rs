@@ -7,7 +7,7 @@ use roxmltree::Node;
 
 use super::super::reader::{Reader, document, finite, text_up_to};
 use super::super::{Error, Place};
-use super::table::{CAR_FOLLOWING, Known, TYPE, TYPES};
+use super::table::{CAR_FOLLOWING, TYPE, TYPES};
 use super::{Class, DEFAULT_TYPES, Demand, MAX_BYTES, VehicleKind, WALKERS, class_named};
 use crate::sumo::net::{class_of_sumo, did_you_mean, nearest};
 
@@ -44,11 +44,11 @@ impl Demand {
             return Err(reader.value(node, "id", allowed));
         }
         self.expect_children(reader, node, &TYPE)?;
-        self.count_unknown(reader, node, &TYPE);
+        self.count_unknown(reader, node, &[TYPE.taken]);
         for model in node.children().filter(Node::is_element) {
             if !model.has_tag_name("param") {
                 reader.expect_children(model, &[], false)?;
-                self.count_unknown(reader, model, &CAR_FOLLOWING);
+                self.count_unknown(reader, model, &[CAR_FOLLOWING.taken]);
             }
         }
         for part in node.descendants() {
@@ -111,15 +111,6 @@ impl Demand {
         }
         self.types.push(kind);
         Ok(self.types.len() - 1)
-    }
-
-    /// Counts attributes that SUMO does not know.
-    fn count_unknown(&mut self, reader: &Reader, node: Node, known: &Known) {
-        for attribute in node.attributes() {
-            if !known.taken.split_whitespace().any(|known| known == attribute.name()) {
-                self.count(reader, node, attribute.name());
-            }
-        }
     }
 
     pub(super) fn type_distribution(

@@ -182,7 +182,7 @@ pub enum Problem {
     /// Two consecutive edges of a walk are not connected by walking areas and crossings, except by
     /// turning round.
     #[error(
-        "no walk leads from the edge `{from}` straight to `{to}`: name the edges between them, since walks are not routed here as SUMO routes them, or build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections) if it has none"
+        "no walk leads from the edge `{from}` straight to `{to}`: name the edges between them, since walks are not routed here as SUMO routes them (SUMO's duarouter writes routed walks), or build the net with crossings (netconvert --crossings.guess, or <crossing> in its connections) if it has none"
     )]
     NotWalkable {
         /// Edge.

@@ -153,6 +153,8 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     };
     write("own programs.add.xml", &format!("<add>{}</add>", program(1)));
     write("shapes.add.xml", "<additional><poly id=\"p\"/></additional>");
+    let sign = "<variableSpeedSign id=\"s\" lanes=\"A0A1_0\"/>";
+    write("speeds.add.xml", &format!("<add>{sign}<poly id=\"p\"/>{}</add>", program(0)));
     let types = "<vTypeDistribution id=\"DEFAULT_VEHTYPE\"><vType id=\"car\" probability=\"3\"/>\
          <vType id=\"lorry\" vClass=\"truck\" probability=\"1\"/></vTypeDistribution>\
          <busStop id=\"b\" lane=\"A0A1_0\" startPos=\"20\" endPos=\"40\"/>";
@@ -166,7 +168,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     write(
         "a.sumocfg",
         "<configuration><input><net-file value=\"grid.net.xml\"/><route-files value=\"a.rou.xml\"/>\
-         <additional-files value=\"types.add.xml, shapes.add.xml,own programs.add.xml\"/></input>\
+         <additional-files value=\"types.add.xml, shapes.add.xml,speeds.add.xml,own programs.add.xml\"/></input>\
          <time><begin value=\"600\"/><end value=\"0:20:00\"/><step-length value=\"0.2\"/></time>\
          <processing><time-to-teleport value=\"60\"/></processing><report><verbose value=\"true\"/></report>\
          <output><tripinfo-output value=\"t.xml\"/></output></configuration>",
@@ -176,7 +178,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     let notes = imported.notes.join("\n");
     for expected in [
         "options without effect here: time-to-teleport",
-        "without vehicles, types and routes: shapes.add.xml\n",
+        "speeds.add.xml has no effect here, with all that it has: <variableSpeedSign> (1 time)",
         "files that are not written: tripinfo-output",
         "episodes last 300 s of 600 s",
         "20 % of the cars are agents",
@@ -196,7 +198,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     let net = fs::read_to_string(&scenario.nets[0].file).unwrap();
     assert_eq!(
         (net.matches("programID=\"own\"").count(), net.matches("<tlLogic ").count()),
-        (2, signals)
+        (3, signals)
     );
     let trial =
         Trial::run(&scenario, scenario.agents.default, 200, Seed::new(0), &Hosting::default());
@@ -225,6 +227,12 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     write("none.rou.xml", "<routes/>");
     let none = refused(&format!("{input}<route-files value=\"none.rou.xml\"/></configuration>"));
     assert!(none.contains("its files have no vehicles, trips or flows"), "{none}");
+    write(
+        "lost.rou.xml",
+        "<routes><trip id=\"t\" depart=\"0\" from=\"left0A0\" to=\"nope\"/></routes>",
+    );
+    let lost = refused(&format!("{input}<r value=\"lost.rou.xml\"/></configuration>"));
+    assert!(lost.contains("b.sumocfg`: 1 of 1 vehicles") && lost.contains("`nope`"), "{lost}");
     let lacks = refused("<configuration>\n</configuration>");
     assert!(
         lacks.contains("b.sumocfg:1:1: <configuration> lacks the element `net-file`"),
@@ -243,4 +251,76 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     assert!(missing.to_string().starts_with("cannot read `"), "{missing}");
     assert_eq!(missing.hint(), None, "the hint for scenario files does not fit");
     assert!(!folder.path().join("sumo_nets/other").exists());
+}
+
+/// A route file that this program has not written stays as it is, although it has the name of the
+/// one that it writes for SUMO.
+#[test]
+fn route_files_of_the_user_are_not_replaced() {
+    let folder = folder();
+    let grid = ["--grid", "--grid.number", "2", "--grid.attach-length", "100", "-o", "a.net.xml"];
+    run("netgenerate", &grid, folder.path()).unwrap();
+    let net = folder.path().join("a.net.xml");
+    let imported = import(folder.path(), "site", Map::Net(&net), None, 4, false).unwrap();
+    let own = folder.path().join("sumo_nets/site/site.rou.xml");
+    let written = fs::read_to_string(&own).unwrap();
+    fs::write(&own, "<routes><vType id=\"mine\"/></routes>").unwrap();
+    build(&imported.scenario, true).unwrap();
+    assert!(fs::read_to_string(&own).unwrap().contains("mine"));
+    fs::write(&own, written.replace("agent", "other")).unwrap();
+    fs::write(folder.path().join("sumo_nets/site/site.netccfg"), CONFIGURATION).unwrap();
+    // Newer than its configuration, so that it is not built.
+    let net = folder.path().join("sumo_nets/site/site.net.xml");
+    fs::write(&net, fs::read(&net).unwrap()).unwrap();
+    build(&imported.scenario, false).unwrap();
+    assert_eq!(fs::read_to_string(&own).unwrap(), written, "its own file is up to date again");
+}
+
+/// A configuration of netconvert without sources.
+const CONFIGURATION: &str = "<configuration><input/></configuration>";
+
+/// Two files whose names differ in a space alone are both copied.
+#[test]
+fn copies_of_route_files_have_names_of_their_own() {
+    let folder = folder();
+    let write = |name: &str, text: &str| fs::write(folder.path().join(name), text).unwrap();
+    let grid = ["--grid", "--grid.number", "2", "--grid.attach-length", "100", "-o", "a.net.xml"];
+    run("netgenerate", &grid, folder.path()).unwrap();
+    let flow = |id: &str| {
+        format!("<routes><flow id=\"{id}\" begin=\"0\" end=\"99\" period=\"9\" from=\"left0A0\" to=\"B0right0\" calledBy=\"x\"/></routes>")
+    };
+    write("a b.rou.xml", &flow("one"));
+    write("a_b.rou.xml", &flow("two"));
+    write(
+        "c.sumocfg",
+        "<configuration><net-file value=\"a.net.xml\"/><route-files value=\"a b.rou.xml,a_b.rou.xml\"/>\
+         <step-length value=\"0.1234\"/><scale value=\"3\"/><a1 value=\"1\"/><b1 value=\"1\"/><c1 value=\"1\"/>\
+         <d1 value=\"1\"/><e1 value=\"1\"/><f1 value=\"1\"/></configuration>",
+    );
+    let path = folder.path().join("c.sumocfg");
+    let imported = import_configuration(folder.path(), "both", &path, None).unwrap();
+    let notes = imported.notes.join("\n");
+    assert!(notes.contains("scale, a1, b1, c1, d1, e1, f1"), "all options are named: {notes}");
+    let checked = Scenario::check(&imported.scenario);
+    assert!(errors(&checked.list).is_empty(), "{:?}", checked.list);
+    let said: Vec<String> = checked.list.iter().map(ToString::to_string).collect();
+    assert!(said.concat().contains("calledBy of <flow> has no effect"), "{said:?}");
+    let scenario = checked.scenario.unwrap();
+    assert_eq!((scenario.traffic.files.len(), scenario.control.interval), (2, 0.123));
+}
+
+/// A compressed map says on which side vehicles drive, as the same map does as it is.
+#[test]
+fn compressed_maps_say_on_which_side_vehicles_drive() {
+    let folder = folder();
+    let left = OSM.replace(
+        "k=\"highway\" v=\"residential\"/>",
+        "k=\"highway\" v=\"residential\"/><tag k=\"driving_side\" v=\"left\"/>",
+    );
+    let map = folder.path().join("map.osm");
+    fs::write(&map, left).unwrap();
+    run("gzip", &["map.osm"], folder.path()).unwrap();
+    let map = folder.path().join("map.osm.gz");
+    let imported = import(folder.path(), "town", Map::Osm(&map), None, 8, false).unwrap();
+    assert!(imported.notes.iter().any(|n| n.contains("drive on the left")), "{imported:?}");
 }

@@ -55,7 +55,7 @@ fn a_step_goes_to_a_time_in_the_future_or_nowhere() {
 }
 
 #[test]
-fn kinds_of_objects_without_a_module_are_reached_by_number() {
+fn kinds_of_objects_are_reached_by_number() {
     let world = World::new();
     let (_process, mut client) = world.start();
     let (list, name) = (0x00, 0x1b);

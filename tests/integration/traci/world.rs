@@ -1,6 +1,6 @@
 //! A small world with many kinds of objects: a crossing with traffic lights and sidewalks, a
-//! railway with a signal and an overhead wire, detectors, a calibrator, a rerouter, a speed sign,
-//! places to stop, a taxi, and persons who walk, wait and ride.
+//! railway with a signal, detectors, a parking area, a bus stop, a taxi, and persons who walk, wait
+//! and ride.
 
 use std::{path::PathBuf, process::Command};
 
@@ -36,6 +36,12 @@ const ADDITIONAL: &str = r#"<additional>
  <busStop id="stop" lane="wc_1" startPos="60" endPos="80" name="Halt"/>
  <poi id="poi" x="10" y="20" color="0,128,255,200" type="shop" layer="3" angle="30" width="2" height="4"/>
  <poly id="poly" shape="0,0 10,0 10,10" color="255,0,0" fill="1" type="building" layer="1" lineWidth="2.5"/>
+ <railSignalConstraints id="rb"><predecessor tripId="slow" tl="rb" foes="fast" limit="2"/></railSignalConstraints>
+</additional>
+"#;
+
+/// Objects of the kinds that [`ADDITIONAL`] lacks. SUMO 1.15 cannot load a state of some of them.
+const MORE: &str = r#"<additional>
  <route id="back" edges="ec cw"/>
  <chargingStation id="charger" lane="cw_1" startPos="20" endPos="50" power="22000" efficiency="0.95" name="Plug"/>
  <tractionSubstation id="power" voltage="600" currentLimit="400"/>
@@ -46,7 +52,6 @@ const ADDITIONAL: &str = r#"<additional>
  <calibrator id="calibrator" edge="ec" pos="20" vTypes="car" routeProbe="probe" output="NUL"><flow begin="0" end="100" type="car" route="back" vehsPerHour="700" speed="12" departLane="free"/></calibrator>
  <rerouter id="rerouter" edges="cn" probability="0"><interval begin="500" end="600"><destProbReroute id="ce"/></interval></rerouter>
  <variableSpeedSign id="sign" lanes="cw_0 cw_1"><step time="0" speed="10"/></variableSpeedSign>
- <railSignalConstraints id="rb"><predecessor tripId="slow" tl="rb" foes="fast" limit="2"/></railSignalConstraints>
 </additional>
 "#;
 
@@ -72,12 +77,23 @@ const ROUTES: &str = r#"<routes>
 /// The world's files, in a temporary folder of their own.
 pub struct World {
     folder: tempfile::TempDir,
+    additional: &'static str,
 }
 
 impl World {
     pub fn new() -> Self {
-        let world = World { folder: tempfile::tempdir().unwrap() };
-        let files = [("nod", NODES), ("edg", EDGES), ("add", ADDITIONAL), ("rou", ROUTES)];
+        Self::with("n.add.xml")
+    }
+
+    /// Returns the world with objects of all kinds.
+    pub fn with_all_kinds() -> Self {
+        Self::with("n.add.xml,n.more.xml")
+    }
+
+    fn with(additional: &'static str) -> Self {
+        let world = World { folder: tempfile::tempdir().unwrap(), additional };
+        let files =
+            [("nod", NODES), ("edg", EDGES), ("add", ADDITIONAL), ("more", MORE), ("rou", ROUTES)];
         for (kind, text) in files {
             std::fs::write(world.file(&format!("n.{kind}.xml")), text).unwrap();
         }
@@ -99,9 +115,11 @@ impl World {
 
     /// Returns SUMO's command line without the program.
     pub fn arguments(&self) -> Vec<String> {
-        let files = [("-n", "n.net.xml"), ("-a", "n.add.xml"), ("-r", "n.rou.xml")];
-        let files = files.map(|(option, name)| {
-            [option.to_owned(), self.file(name).to_str().unwrap().to_owned()]
+        let files = [("-n", "n.net.xml"), ("-a", self.additional), ("-r", "n.rou.xml")];
+        let path = |name: &str| self.file(name).to_str().unwrap().to_owned();
+        let files = files.map(|(option, names)| {
+            let paths: Vec<String> = names.split(',').map(path).collect();
+            [option.to_owned(), paths.join(",")]
         });
         let words = "--seed 4 --xml-validation never --no-step-log --no-warnings --device.taxi.dispatch-algorithm traci";
         files.into_iter().flatten().chain(words.split(' ').map(String::from)).collect()

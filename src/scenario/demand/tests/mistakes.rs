@@ -5,7 +5,6 @@ use super::*;
 #[test]
 fn mistakes_have_their_place() {
     let cases = [
-        ("<trip id=\"t\" from=\"a\" depart=\"0\"/>", "<trip> lacks the attribute `to`"),
         ("<trip id=\"t\" depart=\"0\"/>", "<trip> lacks the attribute `from`"),
         ("<vehicle id=\"v\" depart=\"0\" route=\"r\"/>", "`r` is not a valid route of <vehicle>"),
         (

@@ -111,6 +111,14 @@ fn vehicles_that_cannot_be_used_are_left_out_with_their_lines() {
             "it departs when persons or containers have boarded",
         ),
         (
+            "<trip id=\"v\" from=\"a\" depart=\"0\"/>".into(),
+            "it has no `to`: give both ends of its way",
+        ),
+        (
+            "<flow id=\"v\" period=\"1\" toJunction=\"a\"/>".into(),
+            "it has no `from`: give both ends of its way",
+        ),
+        (
             "<flow id=\"v\" period=\"1\" fromTaz=\"a\" toTaz=\"b\"/>".into(),
             "fromTaz of <flow> is not taken: zones are not taken: make trips or routes of the zones with SUMO's duarouter",
         ),
