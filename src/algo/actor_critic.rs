@@ -195,8 +195,7 @@ impl<N: Networks> ActorCritic<N> {
             });
             let (values, memories): (Vec<_>, Vec<_>) = pieces.unzip();
             let (before, last): (Vec<_>, Vec<_>) = memories.into_iter().flatten().unzip();
-            let memory =
-                (width > 0).then(|| (Tensor::cat(&before, 1), Tensor::cat(&last, 0)));
+            let memory = (width > 0).then(|| (Tensor::cat(&before, 1), Tensor::cat(&last, 0)));
             (Tensor::cat(&values, 1), memory)
         });
         let (values, memories): (Vec<_>, Vec<_>) = parts.into_iter().unzip();

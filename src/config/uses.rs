@@ -141,7 +141,11 @@ impl Config {
             ("exploration.log_std_end", is_learned, learned),
             ("ppo.learning_rate_follows_noise", is_learned, learned),
             ("ppo.entropy_end", ppo.entropy_coefficient == 0.0, "ppo.entropy_coefficient is 0"),
-            ("ppo.shards", self.device.is_cuda(), "a GPU works on one part of a minibatch at a time"),
+            (
+                "ppo.shards",
+                self.device.is_cuda(),
+                "a GPU works on one part of a minibatch at a time",
+            ),
             ("simulation.processes", is_libsumo, "libsumo runs in this process"),
             ("simulation.timeout", is_libsumo, "libsumo runs in this process"),
         ]
@@ -279,8 +283,9 @@ mod tests {
         }
         let shards = |device| told(&[&format!("device={device}")], "ppo.shards=4").len();
         assert_eq!(["cuda:0", "cpu"].map(shards), [1, 0]);
-        let processes =
-            |backend| told(&[&format!("simulation.backend={backend}")], "simulation.processes=4").len();
+        let processes = |backend| {
+            told(&[&format!("simulation.backend={backend}")], "simulation.processes=4").len()
+        };
         assert_eq!(["libsumo", "traci"].map(processes), [1, 0]);
         let [one, other] = ["network.chunk_length=4", "network.chunk_length=8"]
             .map(|set| config(&["network.encoder=mlp", set]).read_settings());

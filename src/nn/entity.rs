@@ -99,7 +99,8 @@ impl Entity {
             "token groups are not sound: {groups:?}"
         );
         let mut embed = path.sub("embed");
-        let embedding = |(i, group): (usize, &TokenGroup)| Embedding::new(embed.sub(i), *group, width);
+        let embedding =
+            |(i, group): (usize, &TokenGroup)| Embedding::new(embed.sub(i), *group, width);
         Entity {
             embeddings: groups.iter().enumerate().map(embedding).collect(),
             embed_norm: LayerNorm::new(path.sub("embed_norm"), width),

@@ -233,7 +233,11 @@ impl Recording {
 /// Returns the largest one of the lengths 1, 2 and 5 times a power of ten that is at most `most`.
 fn scale_of(most: f64) -> f64 {
     let power = 10_f64.powf(most.log10().floor());
-    [5.0, 2.0, 1.0].map(|digit| digit * power).into_iter().find(|length| *length <= most).unwrap_or(power)
+    [5.0, 2.0, 1.0]
+        .map(|digit| digit * power)
+        .into_iter()
+        .find(|length| *length <= most)
+        .unwrap_or(power)
 }
 
 /// Returns the path of an arrowhead before the vehicle at `to`, on a line from `from`; empty if

@@ -401,7 +401,10 @@ minus = [{{ algorithm = "mappo", agents = 4 }}]
     assert!(none.contains("no cell that is evaluated has"), "{none}");
     let single = other("algorithm = \"mappo\", agents = 4, seed = 0");
     assert!(single.contains("a group needs two runs or more"), "{single}");
-    let shared = wrong("agents = 8 }, { algorithm = \"mappo\", agents = 4 }]", "agents = 8 }, { algorithm = \"mappo\", agents = 8 }]");
+    let shared = wrong(
+        "agents = 8 }, { algorithm = \"mappo\", agents = 4 }]",
+        "agents = 8 }, { algorithm = \"mappo\", agents = 8 }]",
+    );
     assert!(shared.contains("is in two of its groups"), "{shared}");
     let alone = wrong("minus = [{ algorithm = \"mappo\", agents = 4 }]", "minus = []");
     assert!(alone.contains("as many conditions in `minus`"), "{alone}");

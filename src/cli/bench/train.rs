@@ -109,7 +109,11 @@ pub(super) fn run(args: &Train) -> anyhow::Result<Verdict> {
                 worlds_of(config, place, 1),
                 update_of(config),
                 profile.name,
-                if args.set.is_empty() { String::new() } else { format!(", --set {}", args.set.join(" --set ")) }
+                if args.set.is_empty() {
+                    String::new()
+                } else {
+                    format!(", --set {}", args.set.join(" --set "))
+                }
             );
         }
         tell!(

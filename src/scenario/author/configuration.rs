@@ -413,7 +413,9 @@ fn on_road(net: &Net, demand: &Demand, plan: &DemandPlan, duration: f64) -> u32 
         let stay = |way: usize| {
             let departure = &plan.departures[way];
             let stops: f64 = departure.stops.iter().map(|stop| stop.duration).sum();
-            PATIENCE * time(net, &plan.routes[departure.route].path, f64::INFINITY) + WAITING + stops
+            PATIENCE * time(net, &plan.routes[departure.route].path, f64::INFINITY)
+                + WAITING
+                + stops
         };
         let (sum, weights) =
             ways.fold((0.0, 0.0), |(sum, all), (way, w)| (sum + w * stay(way), all + w));

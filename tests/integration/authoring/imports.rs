@@ -154,7 +154,7 @@ fn a_configuration_of_sumo_becomes_a_scenario_that_runs() {
     write("own programs.add.xml", &format!("<add>{}</add>", program(1)));
     write("shapes.add.xml", "<additional><poly id=\"p\"/></additional>");
     let sign = "<variableSpeedSign id=\"s\" lanes=\"A0A1_0\"/>";
-    write("speeds.add.xml", &format!("<add>{sign}<poly id=\"p\"/>{}</add>", program(0)));
+    write("speeds.add.xml", &format!("<add>{sign}<poly id=\"p\"/>{}</add>", program(3)));
     let types = "<vTypeDistribution id=\"DEFAULT_VEHTYPE\"><vType id=\"car\" probability=\"3\"/>\
          <vType id=\"lorry\" vClass=\"truck\" probability=\"1\"/></vTypeDistribution>\
          <busStop id=\"b\" lane=\"A0A1_0\" startPos=\"20\" endPos=\"40\"/>";
@@ -287,7 +287,9 @@ fn copies_of_route_files_have_names_of_their_own() {
     let grid = ["--grid", "--grid.number", "2", "--grid.attach-length", "100", "-o", "a.net.xml"];
     run("netgenerate", &grid, folder.path()).unwrap();
     let flow = |id: &str| {
-        format!("<routes><flow id=\"{id}\" begin=\"0\" end=\"99\" period=\"9\" from=\"left0A0\" to=\"B0right0\" calledBy=\"x\"/></routes>")
+        format!(
+            "<routes><flow id=\"{id}\" begin=\"0\" end=\"99\" period=\"9\" from=\"left0A0\" to=\"B0right0\" calledBy=\"x\"/></routes>"
+        )
     };
     write("a b.rou.xml", &flow("one"));
     write("a_b.rou.xml", &flow("two"));
