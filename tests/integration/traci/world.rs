@@ -49,7 +49,7 @@ const MORE: &str = r#"<additional>
  <entryExitDetector id="gate" freq="20" file="NUL"><detEntry lane="wc_1" pos="20"/><detEntry lane="wc_2" pos="25"/><detExit lane="wc_1" pos="150"/><detExit lane="wc_2" pos="155"/></entryExitDetector>
  <edgeData id="mean" freq="100" file="NUL"/>
  <routeProbe id="probe" edge="rab" freq="20" file="NUL"/>
- <calibrator id="calibrator" edge="ec" pos="20" vTypes="car" routeProbe="probe" output="NUL"><flow begin="0" end="100" type="car" route="back" vehsPerHour="700" speed="12" departLane="free"/></calibrator>
+ <calibrator id="calibrator" edge="ec" pos="20" vTypes="car" routeProbe="probe" output="NUL"><flow begin="0" end="9000" type="car" route="back" vehsPerHour="700" speed="12" departLane="free"/></calibrator>
  <rerouter id="rerouter" edges="cn" probability="0"><interval begin="500" end="600"><destProbReroute id="ce"/></interval></rerouter>
  <variableSpeedSign id="sign" lanes="cw_0 cw_1"><step time="0" speed="10"/></variableSpeedSign>
 </additional>
