@@ -124,6 +124,8 @@ def multihead_params(path, attention):
 def entity():
     # one ego token of 3, two of navigation of 2, three neighbours of 4 whose feature 1 is the presence flag
     embed = [linear(3, 8), linear(2, 8), linear(4, 8)]
+    # without a flag, the tokens of navigation differ by their place; not drawn, so that the others' draws stay
+    places = torch.linspace(-1, 1, 16).reshape(2, 8)
     embed_norm, attention, attention_norm = norm(8), multihead(8, 2), norm(8)
     out_layer, out_norm = linear(16, 6), norm(6)
     obs = torch.randn(4, 19)
@@ -134,7 +136,7 @@ def entity():
     tokens = torch.cat(
         [
             embed[0](obs[:, 0:3].reshape(4, 1, 3)),
-            embed[1](obs[:, 3:7].reshape(4, 2, 2)),
+            embed[1](obs[:, 3:7].reshape(4, 2, 2)) + places,
             embed[2](obs[:, 7:19].reshape(4, 3, 4)),
         ],
         dim=1,
@@ -148,7 +150,7 @@ def entity():
     gobs, gqkv, gembed = grad(out, obs, attention.in_proj_weight, embed[2].weight)
     modules = {f"embed.{i}": layer for i, layer in enumerate(embed)}
     modules |= {"embed_norm": embed_norm, "attention_norm": attention_norm, "out": out_layer, "out_norm": out_norm}
-    put_params("entity", modules | multihead_params("attention", attention))
+    put_params("entity", modules | multihead_params("attention", attention) | {"embed.1.places": places})
     put("entity", obs=obs, out=out, grad_obs=gobs, grad_qkv=gqkv, grad_embed=gembed)
 
 
