@@ -197,7 +197,7 @@ fn measure(args: &Train, seed: u64, resolution: Resolution, team: &Team) -> anyh
         worlds: worlds_of(&config, &place, 1),
         updates: update_of(&config),
         profile: profile.name,
-        set: set.to_vec(),
+        set: set.clone(),
         program: Program::current(),
         host: Host::current(),
     })
